@@ -66,7 +66,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
     uint32_t status = 0u;
     if (x->in_bank == COMPONENT) {
         if (!(x->error_V2 > 0.0f)) {
-            x->error_V2 = i->one_V2;
+            x->error_V2 = i->single_V2;
         }
         cellwise_shared shared;
         shared_by(c, x, s->delayed_current_A, &shared);

@@ -137,14 +137,14 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     const float drop = p->r0_ohm * s->delayed_current_A;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
-    innovation->one_V2 =
+    innovation->single_V2 =
         single_variance(c, p->noise_V2, s->delayed_current_A, polarisation_V, s->unmeasured_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, s->delayed_current_A, polarisation_V);
-    innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
+    innovation->single_V2 = innovation->single_V2 + (beyond_V * beyond_V);
     column_of(x, w->slope_V, p->m_V, &innovation->column);
     innovation->explained_V2 = explained(&innovation->column, w->slope_V, p->m_V);
     innovation->explained_V2 = bent_variance(innovation->explained_V2, w->bend_V);
-    innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
+    innovation->variance_V2 = innovation->explained_V2 + innovation->single_V2;
     innovation->of_offset_V = 0.0f;
     innovation->bias_V = 0.0f;
     /* What is believed of an offset has moved the drop, too; what is not known of it may have. */

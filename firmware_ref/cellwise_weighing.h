@@ -6,14 +6,14 @@
 #include "cellwise_covariance.h"
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
- * `explained_V2` what the state and `one_V2` what the voltage brings to it; `slope_V` is the voltage's over SOC. One
- * deviation of an offset moves the voltage by `of_offset_V`; by `bias_V` what is believed of it has moved it.
- * `column` is P H'. */
+ * `explained_V2` what the state brings to it and `single_V2` what the voltage; `slope_V` is the voltage's over SOC,
+ * `column` P H'. One deviation of an offset moves the voltage by `of_offset_V`, all that is believed of offset (and
+ * capacity) has moved it by `bias_V`. */
 typedef struct {
     float voltage_V;
     float variance_V2;
     float explained_V2;
-    float one_V2;
+    float single_V2;
     float slope_V;
     float of_offset_V;
     float bias_V;
@@ -38,7 +38,7 @@ static void judge(const cellwise_constants *c, const cellwise_state *x, const ce
                   float innovation_V, float lately, uint32_t turn, cellwise_verdict *verdict)
 {
     const float square = innovation_V * innovation_V;
-    const float own_V2 = i->explained_V2 + i->one_V2;
+    const float own_V2 = i->explained_V2 + i->single_V2;
     verdict->unit = unit_of(own_V2);
     /* one counts for so much at most */
     const float most = at_most(in_units(square, own_V2), c->mismatch_cap * verdict->unit);
@@ -64,10 +64,10 @@ static void judge(const cellwise_constants *c, const cellwise_state *x, const ce
  * variance makes evidence weigh less. */
 static float weight_of(const cellwise_innovation *i, float shown, float unit, const cellwise_shared *shared)
 {
-    const float of_one = i->one_V2 * shared->above;
-    float weight = unit * of_one;
+    const float of_single = i->single_V2 * shared->above;
+    float weight = unit * of_single;
     if (POSITIVE_ABOVE(shown, unit)) {
-        weight = shown * of_one;
+        weight = shown * of_single;
     }
     return inverse_weight(i->explained_V2, weight, unit * shared->below);
 }
@@ -90,7 +90,7 @@ static float contradicted_after(const cellwise_constants *c, const cellwise_stat
                                 float innovation_V, float since)
 {
     const float drift = c->drift_soc * since;
-    return contradicted_step(x->contradicted, innovation_V, i->slope_V, i->one_V2, drift, c->contradicted_share);
+    return contradicted_step(x->contradicted, innovation_V, i->slope_V, i->single_V2, drift, c->contradicted_share);
 }
 
 /* SOC error by a persistent error of the model, after a voltage with a `gain` of the SOC. */

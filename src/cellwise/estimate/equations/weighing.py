@@ -39,16 +39,16 @@ OffsetFloat: TypeAlias = Any
 class Innovation(NamedTuple):
     """What the state says of the next voltage, before it is looked at.
 
-    ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state and ``one_V2``
-    what the voltage brings to it; ``slope_V`` is the voltage's over SOC. One deviation of an offset
-    moves the voltage by ``of_offset_V``; by ``bias_V`` what is believed of it has moved it.
-    ``column`` is P H'.
+    ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state brings to it and
+    ``single_V2`` what the voltage; ``slope_V`` is the voltage's over SOC, ``column`` P H'. One
+    deviation of an offset moves the voltage by ``of_offset_V``, all that is believed of offset (and
+    capacity) has moved it by ``bias_V``.
     """
 
     voltage_V: float
     variance_V2: float
     explained_V2: float
-    one_V2: float
+    single_V2: float
     slope_V: float
     of_offset_V: OffsetFloat
     bias_V: OffsetFloat
@@ -80,7 +80,7 @@ def judge(
     It moves the running mismatch by ``lately`` and counts as a rejection for ``turn``.
     """
     square = innovation_V * innovation_V
-    own_V2 = i.explained_V2 + i.one_V2
+    own_V2 = i.explained_V2 + i.single_V2
     unit = unit_of(own_V2)
     most = at_most(
         in_units(square, own_V2), c.mismatch_cap * unit
@@ -108,10 +108,10 @@ def weight_of(i: Innovation, shown: float, unit: float, shared: Shared) -> float
 
     What the innovations have lately shown beyond their variance makes evidence weigh less.
     """
-    of_one = i.one_V2 * shared.above
-    weight = unit * of_one
+    of_single = i.single_V2 * shared.above
+    weight = unit * of_single
     if positive_above(shown, unit):
-        weight = shown * of_one
+        weight = shown * of_single
     return inverse_weight(i.explained_V2, weight, unit * shared.below)
 
 
@@ -138,7 +138,7 @@ def contradicted_after(
     """SOC that the voltages say is missing, were the current off for all of the time ``since``."""
     drift = c.drift_soc * since
     return contradicted_step(
-        x.contradicted, innovation_V, i.slope_V, i.one_V2, drift, c.contradicted_share
+        x.contradicted, innovation_V, i.slope_V, i.single_V2, drift, c.contradicted_share
     )
 
 

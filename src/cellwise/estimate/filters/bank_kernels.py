@@ -88,10 +88,10 @@ def loosened(tables: CellTables, start: EkfStart, state: EkfState) -> EkfState:
     warm_C = state.watch.temperature_C
     if not math.isfinite(warm_C):
         warm_C = start.temperature_C
-    at: ByState = loaded(tables, x.soc, warm_C, state.watch.current_A, x.slow_A)
+    point: ByState = loaded(tables, x.soc, warm_C, state.watch.current_A, x.slow_A)
     v = Branches(
         *(
-            held_variance(RESTED_V2, at.r[i], held_A, LOAD_LIMIT_V) + x.state[i] * x.state[i]
+            held_variance(RESTED_V2, point.r[i], held_A, LOAD_LIMIT_V) + x.state[i] * x.state[i]
             for i in BRANCHES
         )
     )

@@ -72,8 +72,8 @@ def place_now(m: BankModel, a: State) -> ComponentPlace:
 @part
 def slow_branch(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> SlowBranch:
     """The slow branch at a SOC under a current."""
-    at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
-    return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)
+    point = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
+    return SlowBranch(point.r3_ohm, 1.0 / point.tau3_s if point.tau3_s > 0.0 else 0.0)
 
 
 @inline
@@ -164,7 +164,7 @@ def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
     now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, s)
     i = innovate(m.constant, m.tables, noise, m.sigma, s, now)
     if not (a.error_V2 > 0.0):
-        a.error_V2 = i.one_V2
+        a.error_V2 = i.single_V2
     used = use_in_bank(m, a, now.state, s, now, i)
     v = used.verdict
     e = update(m.constant, noise, None, s, now, i, v) if v.accepted else without_voltage(now)

@@ -130,14 +130,16 @@ class FilterpyFilter(FilterOfModel):
             diagonal, kf.Q = self.process(after.soc, now)
             self.predict(kf, now._replace(slow_A=slow_A), after, diagonal)
             heat_K, slow_A = after.heat_K, after.slow_A
-            one, status[k] = self.voltage_variance(kf.x, now)
+            single_V2, status[k] = self.voltage_variance(kf.x, now)
             shared, below = repeated_evidence(self.constants(dt), noise, evidence, dt, delayed_A)
             predicted[k], state_V2 = self.seen(kf, now)
-            variance[k] = state_V2 + one
+            variance[k] = state_V2 + single_V2
             if np.isfinite(voltage[k]):
                 evidence = max(evidence, 0.0)
                 if below > 0.0:
-                    self.update(kf, float(voltage[k]), now, np.array([[one * shared / below]]))
+                    self.update(
+                        kf, float(voltage[k]), now, np.array([[single_V2 * shared / below]])
+                    )
             if evidence >= 0.0:
                 evidence += dt
             kf.x[0] = min(max(kf.x[0], 0.0), 1.0)
@@ -193,10 +195,10 @@ class FilterpyFilter(FilterOfModel):
             drop = abs(float(point.r0_ohm) * now.delayed_current_A) + held
             far_V = extrapolation_V(noise.valid, now.temperature_C, now.delayed_current_A, drop)
             point = widened(point, far_V)
-        one = variance_about(
+        single_V2 = variance_about(
             self.constants(now.dt_s), noise, point, now.delayed_current_A, 0.0, held
         )
-        return float(one), OUTSIDE if outside else 0
+        return float(single_V2), OUTSIDE if outside else 0
 
 
 class FilterpyEkf(FilterpyFilter):

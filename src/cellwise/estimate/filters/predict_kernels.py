@@ -191,11 +191,11 @@ def by_tangents(
     t: ByState = now.t
     ss = drifted(tables, s, variance_after_gap(tables, noise, s, p.ss))
     p = changed(decayed(p, t), "ss", ss)
-    at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.delayed_current_A, end.slow_A)
-    if at.spread > 0.0:
+    slopes = slopes_at(tables, end.soc, ss, point, now.warm_C, s.delayed_current_A, end.slow_A)
+    if slopes.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(
-            *(at.rise.row[i] * (1.0 - t.a[i]) * s.counted_current_A for i in BRANCHES)
+            *(slopes.rise.row[i] * (1.0 - t.a[i]) * s.counted_current_A for i in BRANCHES)
         )
         p = driven_by_soc(p, drives)
-    return end, with_noise(p, c, noise, s, now, no_voltage_s, tables.cell.charge_As), at
+    return end, with_noise(p, c, noise, s, now, no_voltage_s, tables.cell.charge_As), slopes

@@ -56,15 +56,15 @@ class SigmaScalars(NamedTuple):
     wide_variance: float
 
 
-class Voltage(NamedTuple):
+class PredictedVoltage(NamedTuple):
     """The voltage's moments over the state: mean, covariance with every state, variance.
 
     ``slope_V`` is the OCV's over the SOC's band.
     """
 
-    predicted_V: float
-    d: Column
-    variance_V2: float
+    voltage_V: float
+    column: Column
+    explained_V2: float
     slope_V: float
 
 
@@ -138,11 +138,11 @@ def voltage_by_points(
     sigma: SigmaScalars,
     s: CheckedReading,
     point: CellPoint,
-    at: VoltageSlopes,
+    slopes: VoltageSlopes,
     warm_C: float,
     x: ByState,
     p: Covariance,
-) -> Voltage:
+) -> PredictedVoltage:
     """Of the centre and of the pair, drawn again from the prediction."""
     c = sigma.reach
     root, along = along_soc(p, p.ss)
@@ -150,16 +150,16 @@ def voltage_by_points(
     away = c * sum(along.row[i] for i in BRANCHES)
     up = loaded(tables, x.soc + c * root, warm_C, s.delayed_current_A, x.slow_A)
     low = loaded(tables, x.soc - c * root, warm_C, s.delayed_current_A, x.slow_A)
-    r_up = up.r0_ohm if at.spread > 0.0 else point.r0_ohm
-    r_low = low.r0_ohm if at.spread > 0.0 else point.r0_ohm
+    r_up = up.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
+    r_low = low.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
     centre = terminal_voltage(point, x.h, point.r0_ohm * s.delayed_current_A + branches)
     above = terminal_voltage(up, x.h + c * along.h, r_up * s.delayed_current_A + branches + away)
     below = terminal_voltage(low, x.h - c * along.h, r_low * s.delayed_current_A + branches - away)
     first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
-    slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.delayed_current_A) / (2.0 * c * root)
+    slope_V = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.delayed_current_A) / (2.0 * c * root)
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column_of(without_outer(p, along), 0.0, point.m_V)
-    d = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))
+    column = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))
     known = explained(Column(0.0, *(rest.row[i] for i in CELL[1:])), 0.0, point.m_V)
-    variance = known + first * first + sigma.curve * second * second
-    return Voltage(centre + sigma.side * second, d, variance, slope)
+    explained_V2 = known + first * first + sigma.curve * second * second
+    return PredictedVoltage(centre + sigma.side * second, column, explained_V2, slope_V)

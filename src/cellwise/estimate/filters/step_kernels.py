@@ -56,8 +56,8 @@ from cellwise.estimate.filters.offset_kernels import (
 )
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, by_tangents, over_interval
 from cellwise.estimate.filters.sigma_kernels import (
+    PredictedVoltage,
     SigmaScalars,
-    Voltage,
     by_points,
     voltage_by_points,
 )
@@ -104,15 +104,15 @@ def predict(
     within_data_A = 0.0 if now.status & OUTSIDE else counted * s.counted_current_A
     free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, within_data_A, s.dt_s)
     if sigma is None:
-        x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
+        x, p, slopes = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
-        x, p, at = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
+        x, p, slopes = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
     drop = drop_of(now.point, x, s.delayed_current_A)
     x = with_heat(x, heat_step(cell, x.heat_K, s.counted_current_A, drop, s.dt_s))
     status |= now.status
     # fmt: off
     return Predicted(
-        state, x, p, now.point, at, now.warm_C, evidence, drift, free, bias_soc, status
+        state, x, p, now.point, slopes, now.warm_C, evidence, drift, free, bias_soc, status
     )
     # fmt: on
 
@@ -127,26 +127,28 @@ def innovate(
     now: Predicted,
 ) -> Innovation:
     """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
-    x, point, at = now.x, now.point, now.at
-    branches = held_in_branches(x)
-    one = variance_about(c, noise, point, s.delayed_current_A, s.lost_A, branches)
+    x, point, slopes = now.x, now.point, now.slopes
+    branches_V = held_in_branches(x)
+    single_V2 = variance_about(c, noise, point, s.delayed_current_A, s.lost_A, branches_V)
     if sigma is None:
-        d = column_of(now.p, at.slope_V, point.m_V)
-        variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
-        seen = Voltage(voltage_of(point, x, s.delayed_current_A), d, variance, at.slope_V)
+        column = column_of(now.p, slopes.slope_V, point.m_V)
+        explained_V2 = bent_variance(explained(column, slopes.slope_V, point.m_V), slopes.bend_V)
+        voltage_V = voltage_of(point, x, s.delayed_current_A)
+        voltage = PredictedVoltage(voltage_V, column, explained_V2, slopes.slope_V)
     else:
-        seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
-    # What is believed of an offset has moved the drop, too; what is not known of it may have.
-    drift, slope = now.drift, seen.slope_V
+        voltage = voltage_by_points(tables, sigma, s, point, slopes, now.warm_C, x, now.p)
+    # An offset has moved the polarisation, too: by what is believed of it, and what is not known.
+    drift, slope_V = now.drift, voltage.slope_V
     dropped_V = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)
-    of_offset_V = slope * drift.reach + dropped_V
-    free_variance = of_offset_V * of_offset_V * drift.unsure
-    free_variance += capacity_variance_V2(now.free, slope, of_offset_V)
-    bias_V = slope * now.bias_soc + drift.believed * dropped_V
+    of_offset_V = slope_V * drift.reach + dropped_V
+    free_V2 = of_offset_V * of_offset_V * drift.unsure
+    free_V2 += capacity_variance_V2(now.free, slope_V, of_offset_V)
+    bias_V = slope_V * now.bias_soc + drift.believed * dropped_V
     # fmt: off
     return Innovation(
-        seen.predicted_V + drift.believed * dropped_V, seen.variance_V2 + (one + free_variance),
-        seen.variance_V2, one, slope, of_offset_V, bias_V, seen.d,
+        voltage.voltage_V + drift.believed * dropped_V,
+        voltage.explained_V2 + (single_V2 + free_V2), voltage.explained_V2, single_V2,
+        slope_V, of_offset_V, bias_V, voltage.column,
     )
     # fmt: on
 

@@ -45,7 +45,7 @@ class Predicted(NamedTuple):
     x: CellState
     p: Covariance
     point: CellPoint
-    at: VoltageSlopes
+    slopes: VoltageSlopes
     warm_C: float
     evidence_s: float
     drift: Drift

@@ -160,17 +160,17 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
-    one_V2 = single_variance(
+    single_V2 = single_variance(
         c, p.noise_V2, s.delayed_current_A, polarisation_V, s.unmeasured_A2, p.r0_ohm
     )
     if VALIDITY:
         beyond_V = extrapolated(c, x, s.delayed_current_A, polarisation_V)
-        one_V2 = one_V2 + (beyond_V * beyond_V)
+        single_V2 = single_V2 + (beyond_V * beyond_V)
     column = column_of(x, w.slope_V, p.m_V)
     explained_V2 = explained(column, w.slope_V, p.m_V)
     if WIDE:
         explained_V2 = bent_variance(explained_V2, w.bend_V)
-    variance_V2 = explained_V2 + one_V2
+    variance_V2 = explained_V2 + single_V2
     of_offset_V = 0.0
     bias_V = 0.0
     if OFFSET:
@@ -184,7 +184,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         voltage_V,
         variance_V2,
         explained_V2,
-        one_V2,
+        single_V2,
         w.slope_V,
         of_offset_V,
         bias_V,

@@ -112,7 +112,7 @@ def weigh(
     status = U(0)
     if BANK and x.in_bank == COMPONENT:
         if not (x.error_V2 > 0.0):
-            x.error_V2 = i.one_V2
+            x.error_V2 = i.single_V2
         shared = shared_by(c, x, s.delayed_current_A)
         if s.news == INTERVAL or shared.above <= shared.below:
             used = judge_component(c, x, i, innovation, steps_of_evidence(x), shared)
