@@ -126,19 +126,19 @@ static void aged(const cellwise_state *x, const cellwise_place *at, cellwise_pla
 }
 
 /* Temperature of the cell: what was measured last, and its own warming. */
-static float warmth_of(const cellwise_state *x)
+static float effective_temperature(const cellwise_state *x)
 {
-    const float warm_C = x->temperature_C + x->heat_K;
-    return warm_C;
+    const float temperature_C = x->temperature_C + x->heat_K;
+    return temperature_C;
 }
 
 /* Where the cell's temperature lies between the tables. */
 static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
 {
-    const float warm_C = warmth_of(x);
+    const float effective_temperature_C = effective_temperature(x);
     cellwise_place here;
-    place_of(m, warm_C, &here);
-    under_surface(&m->constant, x, &here, warm_C, &here);
+    place_of(m, effective_temperature_C, &here);
+    under_surface(&m->constant, x, &here, effective_temperature_C, &here);
     aged(x, &here, &here);
     *place = here;
 }

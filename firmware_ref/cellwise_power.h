@@ -63,7 +63,7 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     along->slow_A = was->slow_A;
     float lag = 0.0f;
     along->slow_A = toward(along->slow_A, current, 1.0f - risen(steps * c->surface_rate));
-    const float depth = depth_at(c, warmth_of(x));
+    const float depth = depth_at(c, effective_temperature(x));
     lag = clip(depth * along->slow_A, -1.0f, 1.0f);
     cellwise_place here;
     behind(place, lag, &here);

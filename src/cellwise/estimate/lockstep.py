@@ -19,9 +19,9 @@ from cellwise.arguments import number, numbers
 from cellwise.cell.compiled import announce, for_kernel, inline, kernel, rows
 from cellwise.cell.equations import (
     CellTables,
-    drop_of,
     heat_step,
     loaded,
+    polarisation_of,
     slow_step,
     soc_step,
     states_step,
@@ -158,7 +158,8 @@ def plain_step(
     over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     c = step_constants(cell, noise, dt_s)
     p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
-    x = with_heat(end, heat_step(cell, end.heat_K, current_A, drop_of(point, end, current_A), dt_s))
+    polarisation_V = polarisation_of(point, end, current_A)
+    x = with_heat(end, heat_step(cell, end.heat_K, current_A, polarisation_V, dt_s))
     bias_soc = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(

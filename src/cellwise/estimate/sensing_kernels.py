@@ -117,10 +117,10 @@ def read_sample(
             status |= OUT_OF_RANGE
         current = held
         no_current = watch.no_current_s + (0.0 if gap else dt_s)
-    warm = reading.temperature_C
+    temperature_C = reading.temperature_C
     no_warm = watch.no_warm_s
-    if not COLDEST_C <= warm <= HOTTEST_C:
-        warm = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
+    if not COLDEST_C <= temperature_C <= HOTTEST_C:
+        temperature_C = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
         if needs_temperature(tables):
             status |= TEMPERATURE_INVALID
             if no_warm >= 0.0:
@@ -154,8 +154,8 @@ def read_sample(
         status |= DUPLICATE
     # fmt: off
     return CheckedReading(
-        current, delayed, counted, unknown, lost, voltage, warm, no_current, no_warm, dt_s, gap,
-        status,
+        current, delayed, counted, unknown, lost, voltage, temperature_C, no_current, no_warm,
+        dt_s, gap, status,
     )
     # fmt: on
 

@@ -38,9 +38,9 @@ from cellwise.cell.equations.temperature import inverse_kelvin as inverse_kelvin
 from cellwise.cell.equations.temperature import needs_temperature as needs_temperature
 from cellwise.cell.equations.temperature import thermal_factor as thermal_factor
 from cellwise.cell.equations.voltage import delayed_current as delayed_current
-from cellwise.cell.equations.voltage import drop_of as drop_of
 from cellwise.cell.equations.voltage import held_in_branches as held_in_branches
 from cellwise.cell.equations.voltage import loaded_voltage as loaded_voltage
 from cellwise.cell.equations.voltage import polarisation as polarisation
+from cellwise.cell.equations.voltage import polarisation_of as polarisation_of
 from cellwise.cell.equations.voltage import terminal_voltage as terminal_voltage
 from cellwise.cell.equations.voltage import voltage_of as voltage_of

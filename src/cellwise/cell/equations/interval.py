@@ -9,7 +9,7 @@ from cellwise.cell.equations.records import CellState, CellTables, with_heat
 from cellwise.cell.equations.states import soc_step, states_step, transition
 from cellwise.cell.equations.surface import slow_step, surface_soc, surfaced
 from cellwise.cell.equations.temperature import at_temperature, heat_step
-from cellwise.cell.equations.voltage import drop_of
+from cellwise.cell.equations.voltage import polarisation_of
 from cellwise.cell.point_kernels import CellPoint
 
 
@@ -51,5 +51,5 @@ def advance(
     point = loaded(tables, soc, cell_C, current_A, slow)
     t = transition(cell, point, current_A, dt_s)
     after = states_step(state, t, current_A, soc, slow)
-    heat = heat_step(cell, state.heat_K, current_A, drop_of(point, after, current_A), dt_s)
+    heat = heat_step(cell, state.heat_K, current_A, polarisation_of(point, after, current_A), dt_s)
     return with_heat(after, heat), point

@@ -17,7 +17,7 @@ def polarisation(r0_ohm: float, current_A: float, fast_V: float, slower_V: float
 
 @inline
 @unrolled
-def drop_of(point: CellPoint, state: ByState, current_A: float) -> float:
+def polarisation_of(point: CellPoint, state: ByState, current_A: float) -> float:
     """The same of a state at one point of the tables [V]."""
     slower_V = sum(state.state[i] for i in BRANCHES[1:])
     return polarisation(point.r0_ohm, current_A, state.v1_V, slower_V)
@@ -58,4 +58,4 @@ def delayed_current(cell: CellScalars, current_A: float, previous_A: float, dt_s
 @inline
 def voltage_of(point: CellPoint, state: CellState, current_A: float) -> float:
     """Terminal voltage of a state under a current [V]."""
-    return terminal_voltage(point, state.h, drop_of(point, state, current_A))
+    return terminal_voltage(point, state.h, polarisation_of(point, state, current_A))

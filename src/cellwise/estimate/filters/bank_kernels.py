@@ -85,10 +85,10 @@ def loosened(tables: CellTables, start: EkfStart, state: EkfState) -> EkfState:
     x: ByState = state.cell
     p = state.p
     held_A = RECOVERY_RATE * tables.cell.charge_As / 3600.0
-    warm_C = state.watch.temperature_C
-    if not math.isfinite(warm_C):
-        warm_C = start.temperature_C
-    point: ByState = loaded(tables, x.soc, warm_C, state.watch.current_A, x.slow_A)
+    temperature_C = state.watch.temperature_C
+    if not math.isfinite(temperature_C):
+        temperature_C = start.temperature_C
+    point: ByState = loaded(tables, x.soc, temperature_C, state.watch.current_A, x.slow_A)
     v = Branches(
         *(
             held_variance(RESTED_V2, point.r[i], held_A, LOAD_LIMIT_V) + x.state[i] * x.state[i]

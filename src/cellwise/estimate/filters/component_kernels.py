@@ -65,8 +65,8 @@ class ComponentPlace(NamedTuple):
 @inline
 def place_now(m: BankModel, a: State) -> ComponentPlace:
     """The cell's temperature and the current behind the lag of its particles' surface."""
-    warm_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
-    return ComponentPlace(warm_C + a.heat_K, a.slow_A)
+    temperature_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
+    return ComponentPlace(temperature_C + a.heat_K, a.slow_A)
 
 
 @part

@@ -147,11 +147,13 @@ def gauge_rows(
 ) -> None:
     """Every row of a log through one step; ``out`` holds SOC and its deviation, shape (2, rows)."""
     state = start
-    warm = default_C
+    temperature_C = default_C
     for k in range(log.dt_s.size):
         if math.isfinite(log.temperature_C[k]):
-            warm = log.temperature_C[k]
-        reading = MeasuredSample(log.current_A[k], log.voltage_V[k], warm, log.dt_s[k], log.gap[k])
+            temperature_C = log.temperature_C[k]
+        reading = MeasuredSample(
+            log.current_A[k], log.voltage_V[k], temperature_C, log.dt_s[k], log.gap[k]
+        )
         state, _, bits = gauge_step(tables, rules, state, reading)
         out[0, k] = state.soc
         out[1, k] = math.sqrt(state.variance)

@@ -155,8 +155,8 @@ class FilterpyFilter(FilterOfModel):
 
     def point(self, soc: float, now: MatrixInterval) -> CellPoint:
         """The tables at one SOC, under load."""
-        warm_C = now.temperature_C + now.heat_K
-        return loaded(self._tables, soc, warm_C, now.delayed_current_A, now.slow_A)
+        effective_temperature_C = now.temperature_C + now.heat_K
+        return loaded(self._tables, soc, effective_temperature_C, now.delayed_current_A, now.slow_A)
 
     def moved(self, x: FloatArray, now: MatrixInterval) -> CellState:
         """The model's own step of a whole state."""

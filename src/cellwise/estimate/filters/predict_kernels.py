@@ -65,7 +65,7 @@ class PredictedInterval(NamedTuple):
     point: CellPoint
     t: Transition
     end: CellState
-    warm_C: float
+    effective_temperature_C: float
     unknown: Branches
     status: int
 
@@ -86,9 +86,9 @@ def over_interval(
 ) -> PredictedInterval:
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
-    warm = s.temperature_C + x.heat_K
+    effective_temperature_C = s.temperature_C + x.heat_K
     slow = slow_step(cell, x.slow_A, s.counted_current_A, s.dt_s)
-    point: ByState = loaded(tables, soc, warm, s.delayed_current_A, slow)
+    point: ByState = loaded(tables, soc, effective_temperature_C, s.delayed_current_A, slow)
     held: dict[Any, float] = {}
     unknown: dict[Any, float] = {}
     for i in BRANCHES:
@@ -101,17 +101,16 @@ def over_interval(
     t = transition(cell, point, s.counted_current_A, s.dt_s)
     old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     end = states_step(old, t, s.counted_current_A, soc, slow)
-    drop_V = abs(point.r0_ohm * s.delayed_current_A) + held_in_branches(end)
+    polarisation_V = abs(point.r0_ohm * s.delayed_current_A) + held_in_branches(end)
     status = 0
     if is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A):
         status = OUTSIDE
-        more = extrapolation_V(noise.valid, s.temperature_C, s.delayed_current_A, drop_V)
+        more = extrapolation_V(noise.valid, s.temperature_C, s.delayed_current_A, polarisation_V)
         point = widened(point, more)
     if s.no_warm_s > 0.0:
-        point = widened(point, lost_temperature_V(s.no_warm_s, drop_V))
-    return PredictedInterval(
-        old, point, t, end, warm, Branches(*(unknown[i] for i in BRANCHES)), status
-    )
+        point = widened(point, lost_temperature_V(s.no_warm_s, polarisation_V))
+    variances = Branches(*(unknown[i] for i in BRANCHES))
+    return PredictedInterval(old, point, t, end, effective_temperature_C, variances, status)
 
 
 @inline
@@ -191,7 +190,9 @@ def by_tangents(
     t: ByState = now.t
     ss = drifted(tables, s, variance_after_gap(tables, noise, s, p.ss))
     p = changed(decayed(p, t), "ss", ss)
-    slopes = slopes_at(tables, end.soc, ss, point, now.warm_C, s.delayed_current_A, end.slow_A)
+    slopes = slopes_at(
+        tables, end.soc, ss, point, now.effective_temperature_C, s.delayed_current_A, end.slow_A
+    )
     if slopes.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(

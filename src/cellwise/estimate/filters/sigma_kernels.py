@@ -104,9 +104,19 @@ def by_points(
     up: ByState = point
     low: ByState = point
     if wide:
-        up = loaded(tables, now.end.soc + c * root, now.warm_C, s.delayed_current_A, now.end.slow_A)
+        up = loaded(
+            tables,
+            now.end.soc + c * root,
+            now.effective_temperature_C,
+            s.delayed_current_A,
+            now.end.slow_A,
+        )
         low = loaded(
-            tables, now.end.soc - c * root, now.warm_C, s.delayed_current_A, now.end.slow_A
+            tables,
+            now.end.soc - c * root,
+            now.effective_temperature_C,
+            s.delayed_current_A,
+            now.end.slow_A,
         )
     x: ByState = now.end
     per = 0.5 / c
@@ -139,7 +149,7 @@ def voltage_by_points(
     s: CheckedReading,
     point: CellPoint,
     slopes: VoltageSlopes,
-    warm_C: float,
+    effective_temperature_C: float,
     x: ByState,
     p: Covariance,
 ) -> PredictedVoltage:
@@ -148,8 +158,8 @@ def voltage_by_points(
     root, along = along_soc(p, p.ss)
     branches = sum(x.state[i] for i in BRANCHES)
     away = c * sum(along.row[i] for i in BRANCHES)
-    up = loaded(tables, x.soc + c * root, warm_C, s.delayed_current_A, x.slow_A)
-    low = loaded(tables, x.soc - c * root, warm_C, s.delayed_current_A, x.slow_A)
+    up = loaded(tables, x.soc + c * root, effective_temperature_C, s.delayed_current_A, x.slow_A)
+    low = loaded(tables, x.soc - c * root, effective_temperature_C, s.delayed_current_A, x.slow_A)
     r_up = up.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
     r_low = low.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
     centre = terminal_voltage(point, x.h, point.r0_ohm * s.delayed_current_A + branches)

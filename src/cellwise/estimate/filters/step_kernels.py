@@ -18,9 +18,9 @@ import math
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import (
     CellTables,
-    drop_of,
     heat_step,
     held_in_branches,
+    polarisation_of,
     soc_step,
     voltage_of,
     with_heat,
@@ -107,12 +107,13 @@ def predict(
         x, p, slopes = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
         x, p, slopes = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
-    drop = drop_of(now.point, x, s.delayed_current_A)
-    x = with_heat(x, heat_step(cell, x.heat_K, s.counted_current_A, drop, s.dt_s))
+    polarisation_V = polarisation_of(now.point, x, s.delayed_current_A)
+    x = with_heat(x, heat_step(cell, x.heat_K, s.counted_current_A, polarisation_V, s.dt_s))
     status |= now.status
     # fmt: off
     return Predicted(
-        state, x, p, now.point, slopes, now.warm_C, evidence, drift, free, bias_soc, status
+        state, x, p, now.point, slopes, now.effective_temperature_C, evidence, drift, free,
+        bias_soc, status,
     )
     # fmt: on
 
@@ -136,7 +137,9 @@ def innovate(
         voltage_V = voltage_of(point, x, s.delayed_current_A)
         voltage = PredictedVoltage(voltage_V, column, explained_V2, slopes.slope_V)
     else:
-        voltage = voltage_by_points(tables, sigma, s, point, slopes, now.warm_C, x, now.p)
+        voltage = voltage_by_points(
+            tables, sigma, s, point, slopes, now.effective_temperature_C, x, now.p
+        )
     # An offset has moved the polarisation, too: by what is believed of it, and what is not known.
     drift, slope_V = now.drift, voltage.slope_V
     dropped_V = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)

@@ -46,7 +46,7 @@ class Predicted(NamedTuple):
     p: Covariance
     point: CellPoint
     slopes: VoltageSlopes
-    warm_C: float
+    effective_temperature_C: float
     evidence_s: float
     drift: Drift
     free: Free | None

@@ -157,20 +157,20 @@ def aged(x: State, at: Place) -> Place:
     return Place(at.low, at.weight, at.scale * x.resistance_scale, at.lag)
 
 
-def warmth_of(x: State) -> float:
+def effective_temperature(x: State) -> float:
     """Temperature of the cell: what was measured last, and its own warming."""
-    warm_C = x.temperature_C
+    temperature_C = x.temperature_C
     if HEATING:
-        warm_C = warm_C + x.heat_K
-    return F(warm_C)
+        temperature_C = temperature_C + x.heat_K
+    return F(temperature_C)
 
 
 def place_now(m: Model, x: State) -> Place:
     """Where the cell's temperature lies between the tables."""
-    warm_C = warmth_of(x) if WARM else 0.0
-    here = place_of(m, warm_C) if WARM else place_of(m, 0.0)
+    effective_temperature_C = effective_temperature(x) if WARM else 0.0
+    here = place_of(m, effective_temperature_C) if WARM else place_of(m, 0.0)
     if SURFACE:
-        here = under_surface(m.constant, x, here, warm_C)
+        here = under_surface(m.constant, x, here, effective_temperature_C)
     if HEALTH:
         here = aged(x, here)
     return Place(here.low, here.weight, here.scale, here.lag)

@@ -13,9 +13,9 @@ from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
     Place,
     depth_at,
+    effective_temperature,
     look_up,
     place_now,
-    warmth_of,
 )
 from cellwise.estimate.fixed.state import is_sound, taken
 
@@ -85,7 +85,7 @@ def go_on(
     lag = 0.0
     if SURFACE:
         slow_A = toward(slow_A, current, 1.0 - risen(steps * c.surface_rate))
-        depth = depth_at(c, warmth_of(x)) if DEPTH else c.surface_per_A
+        depth = depth_at(c, effective_temperature(x)) if DEPTH else c.surface_per_A
         lag = clip(depth * slow_A, -1.0, 1.0)
     here = behind(place, lag)
     p = look_up(m, here, soc, current)

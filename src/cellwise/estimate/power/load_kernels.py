@@ -157,7 +157,12 @@ def drop_of(
 
 @part
 def moment_of(
-    tables: CellTables, x: CellState, load: float, power: bool, warm_C: float, but: Correction
+    tables: CellTables,
+    x: CellState,
+    load: float,
+    power: bool,
+    effective_temperature_C: float,
+    but: Correction,
 ) -> LoadPoint:
     r"""A state under a load, at once: a current, or a power.
 
@@ -167,11 +172,11 @@ def moment_of(
     """
     current = load
     possible = True
-    point = loaded(tables, x.soc, warm_C, current, x.slow_A)
+    point = loaded(tables, x.soc, effective_temperature_C, current, x.slow_A)
     if power:
         current = load / point.ocv_V
         for _ in range(REPETITIONS):
-            point = loaded(tables, x.soc, warm_C, current, x.slow_A)
+            point = loaded(tables, x.soc, effective_temperature_C, current, x.slow_A)
             factor = fast_factor(tables.cell, but, current)
             drop = drop_of(point, x, 0.0, factor, but)
             inner = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
