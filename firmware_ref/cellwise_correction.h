@@ -61,7 +61,7 @@ static void begin_evidence(cellwise_state *x)
 
 /* A voltage that is looked at: rejected, or used. A first sample under load says more of the load than of the SOC. */
 static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                      const cellwise_reading *s, const cellwise_innovation *i, float innovation, uint32_t beyond)
+                      const cellwise_reading *reading, const cellwise_innovation *i, float innovation, uint32_t beyond)
 {
     uint32_t status = 0u;
     if (x->in_bank == COMPONENT) {
@@ -69,8 +69,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
             x->error_V2 = i->single_V2;
         }
         cellwise_shared shared;
-        shared_by(c, x, s->delayed_current_A, &shared);
-        if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+        shared_by(c, x, reading->delayed_current_A, &shared);
+        if ((reading->news == INTERVAL) || (shared.above <= shared.below)) {
             cellwise_componentupdate used;
             judge_component(c, x, i, innovation, steps_of_evidence(x), &shared, &used);
             x->cost = x->cost + used.cost;
@@ -78,7 +78,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         }
         begin_evidence(x);
     } else {
-        const float lately = (s->news == INTERVAL) ? c->lately : 0.0f;
+        const float lately = (reading->news == INTERVAL) ? c->lately : 0.0f;
         cellwise_verdict v;
         judge(c, x, i, innovation, lately, 1u, &v);
         status = v.status;
@@ -86,14 +86,14 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         x->mismatch = v.mismatch;
         if (v.accepted) {
             cellwise_shared shared;
-            shared_by(c, x, s->delayed_current_A, &shared);
-            if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+            shared_by(c, x, reading->delayed_current_A, &shared);
+            if ((reading->news == INTERVAL) || (shared.above <= shared.below)) {
                 fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, &shared));
                 contradict(c, x, i, innovation, beyond);
             }
             begin_evidence(x);
         } else if (v.recovers) {
-            recover(c, x, p, s->delayed_current_A);
+            recover(c, x, p, reading->delayed_current_A);
         } else { /* as before */
         }
     }
@@ -102,16 +102,16 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
 
 /* CW-002. Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                        const cellwise_slopes *w, const cellwise_reading *s, float voltage, uint32_t beyond,
+                        const cellwise_slopes *w, const cellwise_reading *reading, float voltage, uint32_t beyond,
                         cellwise_output *out)
 {
     uint32_t status = 0u;
     uint32_t away = x->no_voltage;
-    if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
+    if ((reading->news == INTERVAL) && (away < COUNT_MOST)) {
         away = away + 1u;
     }
     cellwise_innovation i;
-    innovate(c, x, p, w, s, &i);
+    innovate(c, x, p, w, reading, &i);
     out->voltage_V = i.voltage_V;
     out->innovation_variance_V2 = i.variance_V2;
     out->innovation_V = 0.0f;
@@ -120,18 +120,18 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
     } else {
         const float innovation = voltage - i.voltage_V;
         out->innovation_V = innovation;
-        if (s->news != REPEATED) { /* a repeated sample is no evidence */
+        if (reading->news != REPEATED) { /* a repeated sample is no evidence */
             watch_current(c, x, voltage);
-            status = watch_voltage(c, x, voltage, s->delayed_current_A, p->r0_ohm, innovation);
+            status = watch_voltage(c, x, voltage, reading->delayed_current_A, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;
             }
             if (status == 0u) {
-                status = weigh(c, x, p, s, &i, innovation, beyond);
+                status = weigh(c, x, p, reading, &i, innovation, beyond);
             }
         }
     }
-    if (s->news != REPEATED) {
+    if (reading->news != REPEATED) {
         x->no_voltage = away;
     }
     if (away > c->hold_steps) {

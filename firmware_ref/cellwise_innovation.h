@@ -53,13 +53,13 @@ static void shared_by(const cellwise_constants *c, const cellwise_state *x, floa
 }
 
 /* CW-018. Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
-static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, const cellwise_reading *s)
+static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, const cellwise_reading *reading)
 {
     uint32_t status = 0u;
     if (!WITHIN(x->soc, c->valid_soc_low, c->valid_soc_high)) {
         status = CELLWISE_OUTSIDE;
     }
-    if (!WITHIN(s->delayed_current_A, c->valid_charge_A, c->valid_discharge_A)) {
+    if (!WITHIN(reading->delayed_current_A, c->valid_charge_A, c->valid_discharge_A)) {
         status = CELLWISE_OUTSIDE;
     }
     if (!WITHIN(x->temperature_C, c->valid_cold_C, c->valid_warm_C)) {
@@ -85,10 +85,10 @@ static float extrapolated(const cellwise_constants *c, const cellwise_state *x, 
 /* How far an offset leads over one interval: the count, where there was one, and the branches. What is believed of
  * it moves the SOC. */
 static void count_offset(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                         const cellwise_reading *s, uint32_t missing)
+                         const cellwise_reading *reading, uint32_t missing)
 {
     float counted = 1.0f;
-    if ((missing != 0u) || (s->unmeasured_A2 > 0.0f)) {
+    if ((missing != 0u) || (reading->unmeasured_A2 > 0.0f)) {
         counted = 0.0f;
     }
     const float moved = counted * c->drift_soc;
@@ -98,12 +98,12 @@ static void count_offset(const cellwise_constants *c, cellwise_state *x, const c
     x->d2_V = x->d2_V + (p->gain2 * ((p->r2_ohm * c->offset_A) - x->d2_V));
     x->d3_V = x->d3_V + (p->gain3 * ((p->r3_ohm * c->offset_A) - x->d3_V));
     cellwise_standstill now;
-    rest_after(x->rest, x->rest_A, s->current, counted, c->rate_A, c->rest_steps, &now);
+    rest_after(x->rest, x->rest_A, reading->current, counted, c->rate_A, c->rest_steps, &now);
     x->rest = now.lasts;
     x->rest_A = now.current_A;
     if ((now.weight > 0.0f) && (c->offset_A > 0.0f) && (x->information < (INFORMATION_MOST - now.weight))) {
         x->information = x->information + now.weight;
-        x->score = x->score + ((now.weight * s->current) / c->offset_A);
+        x->score = x->score + ((now.weight * reading->current) / c->offset_A);
     }
 }
 
@@ -132,14 +132,14 @@ static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, floa
 
 /* Predicted voltage, and the variances of what is measured about it. */
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
-                     const cellwise_slopes *w, const cellwise_reading *s, cellwise_innovation *innovation)
+                     const cellwise_slopes *w, const cellwise_reading *reading, cellwise_innovation *innovation)
 {
-    const float drop = p->r0_ohm * s->delayed_current_A;
+    const float drop = p->r0_ohm * reading->delayed_current_A;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
     innovation->single_V2 =
-        single_variance(c, p->noise_V2, s->delayed_current_A, polarisation_V, s->unmeasured_A2, p->r0_ohm);
-    const float beyond_V = extrapolated(c, x, s->delayed_current_A, polarisation_V);
+        single_variance(c, p->noise_V2, reading->delayed_current_A, polarisation_V, reading->unmeasured_A2, p->r0_ohm);
+    const float beyond_V = extrapolated(c, x, reading->delayed_current_A, polarisation_V);
     innovation->single_V2 = innovation->single_V2 + (beyond_V * beyond_V);
     column_of(x, w->slope_V, p->m_V, &innovation->column);
     innovation->explained_V2 = explained(&innovation->column, w->slope_V, p->m_V);

@@ -92,19 +92,19 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
 }
 
 /* CW-003. SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
-static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *reading,
                          cellwise_charge *charge)
 {
-    charge->status = s->status;
-    charge->missing = s->missing;
+    charge->status = reading->status;
+    charge->missing = reading->missing;
     charge->bridge = 0.0f;
-    if (s->news == INTERVAL) {
-        float used = taken(c, x, s->counted_current_A);
+    if (reading->news == INTERVAL) {
+        float used = taken(c, x, reading->counted_current_A);
         if (charge->missing != 0u) {
             charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
             if (charge->missing <= c->gap_steps) {
-                charge->bridge = 0.5f * (s->current + x->current_A);
-                if (s->silent > c->hold_steps) {
+                charge->bridge = 0.5f * (reading->current + x->current_A);
+                if (reading->silent > c->hold_steps) {
                     charge->bridge = 0.0f;
                 }
                 used = used + (taken(c, x, charge->bridge) * (float)charge->missing);
@@ -118,7 +118,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
             }
         }
         add(&x->soc, &x->soc_carry, -used);
-        if (s->unmeasured_A2 > 0.0f) {
+        if (reading->unmeasured_A2 > 0.0f) {
             x->ss = drifted_variance(x->ss, c->lost_soc);
             if (x->in_bank == ALONE) {
                 x->in_bank = UNCOUNTED;
@@ -128,15 +128,15 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
 }
 
 /* Current that the particles' surface follows: over missing samples what bridges them. */
-static void follow(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+static void follow(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *reading,
                    const cellwise_charge *charge)
 {
     if (charge->missing != 0u) {
         const float left = vanishing((float)charge->missing * c->surface_rate);
         x->slow_A = charge->bridge + (left * (x->slow_A - charge->bridge));
     }
-    if (s->news == INTERVAL) {
-        x->slow_A = x->slow_A + (c->surface_gain * (s->counted_current_A - x->slow_A));
+    if (reading->news == INTERVAL) {
+        x->slow_A = x->slow_A + (c->surface_gain * (reading->counted_current_A - x->slow_A));
     }
 }
 
@@ -150,7 +150,7 @@ static float variance_of(const cellwise_state *x, float known)
 
 /* CW-007. Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which
  * lost a bit has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
-static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing, uint32_t sequence,
+static uint32_t finish(cellwise_state *x, const cellwise_reading *reading, uint32_t missing, uint32_t sequence,
                        cellwise_output *out)
 {
     uint32_t status = 0u;
@@ -159,11 +159,11 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
         x->soc_carry = 0.0f;
         status = CELLWISE_CLAMPED;
     }
-    if (s->news != REPEATED) {
-        x->current_A = s->current;
+    if (reading->news != REPEATED) {
+        x->current_A = reading->current;
         x->sequence = sequence;
-        x->no_current = s->silent;
-        if ((s->news == INTERVAL) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
+        x->no_current = reading->silent;
+        if ((reading->news == INTERVAL) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
             x->evidence = (x->evidence + 1u) + missing;
         }
     }

@@ -34,37 +34,37 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         status = CELLWISE_STATE_RESET;
         x->in_bank = CONTRADICTED;
     }
-    cellwise_reading s;
-    see(c, x, sample, status, &s);
+    cellwise_reading reading;
+    see(c, x, sample, status, &reading);
     cellwise_place place;
-    place_of(m, s.temperature_C, &place);
+    place_of(m, reading.temperature_C, &place);
     cellwise_charge charge;
-    count_charge(c, x, &s, &charge);
-    follow(c, x, &s, &charge);
-    under_surface(c, x, &place, s.temperature_C, &place);
+    count_charge(c, x, &reading, &charge);
+    follow(c, x, &reading, &charge);
+    under_surface(c, x, &place, reading.temperature_C, &place);
     aged(x, &place, &place);
     cellwise_point p;
-    look_up(m, &place, x->soc, s.delayed_current_A, &p);
+    look_up(m, &place, x->soc, reading.delayed_current_A, &p);
     if (x->evidence == NOT_BEGUN) {
-        guess_branches(c, x, &p, s.delayed_current_A);
+        guess_branches(c, x, &p, reading.delayed_current_A);
         x->evidence = NO_VOLTAGE_YET;
     }
     if (charge.missing != 0u) {
-        cross_gap(c, x, &p, charge.missing, s.current, charge.bridge);
+        cross_gap(c, x, &p, charge.missing, reading.current, charge.bridge);
     }
     cellwise_slopes w;
     no_slopes(&p, &w);
     if (x->ss > WIDE_VARIANCE) {
-        slopes_of(m, &place, x->soc, root(x->ss), s.delayed_current_A, &p, &w);
+        slopes_of(m, &place, x->soc, root(x->ss), reading.delayed_current_A, &p, &w);
     }
-    if (s.news == INTERVAL) {
-        predict(c, x, &p, &w, s.counted_current_A, s.unmeasured_A2);
-        heat(c, x, p.r0_ohm, s.delayed_current_A, s.counted_current_A);
-        count_offset(c, x, &p, &s, charge.missing);
+    if (reading.news == INTERVAL) {
+        predict(c, x, &p, &w, reading.counted_current_A, reading.unmeasured_A2);
+        heat(c, x, p.r0_ohm, reading.delayed_current_A, reading.counted_current_A);
+        count_offset(c, x, &p, &reading, charge.missing);
     }
-    const uint32_t beyond = outside(c, x, &s);
-    status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, beyond, out);
-    status = status | finish(x, &s, charge.missing, sample->sequence, out);
+    const uint32_t beyond = outside(c, x, &reading);
+    status = charge.status | correct(c, x, &p, &w, &reading, sample->voltage_V, beyond, out);
+    status = status | finish(x, &reading, charge.missing, sample->sequence, out);
     status = status | beyond;
     out->status = status;
     return status;

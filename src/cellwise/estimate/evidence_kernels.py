@@ -178,15 +178,15 @@ def gate(
     c: StepConstants,
     noise: NoiseScalars,
     old: EkfState,
-    s: CheckedReading,
+    reading: CheckedReading,
     evidence_s: float,
     r0_ohm: float,
     i: Innovation,
 ) -> GateResult:
     """Gate, count, and weigh the voltage of one sample, if there is one that can be used."""
-    innovation_V = s.voltage_V - i.voltage_V
+    innovation_V = reading.voltage_V - i.voltage_V
     ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
-    last, swings, status = watch_voltage(noise, old.watch, s, innovation_V, r0_ohm)
+    last, swings, status = watch_voltage(noise, old.watch, reading, innovation_V, r0_ohm)
     used = False
     accepted = False
     inverse, rejections, mismatch = 0.0, old.rejections, old.mismatch
@@ -197,18 +197,20 @@ def gate(
     elif status & VOLTAGE_FROZEN == 0:
         used = True
         # Ten samples a second repeat one error: each counts for its time, at most for one.
-        v = judge(c, old, i, innovation_V, c.lately, min(s.dt_s, 1.0))
+        v = judge(c, old, i, innovation_V, c.lately, min(reading.dt_s, 1.0))
         status |= v.status
         accepted, rejections, mismatch = v.accepted, v.rejections, v.mismatch
         if accepted:
-            shared = repeated_evidence(c, noise, evidence_s, s.dt_s, s.delayed_current_A)
+            shared = repeated_evidence(
+                c, noise, evidence_s, reading.dt_s, reading.delayed_current_A
+            )
             inverse = weight_of(i, v.shown, v.unit, shared)
             evidence_s = max(evidence_s, 0.0)
         elif v.recovers:
             evidence_s = 0.0
     if evidence_s >= 0.0:
-        evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, old.watch.no_voltage_s, last, swings)
+        evidence_s += reading.dt_s
+    after, away = watch_on(noise, reading, used, evidence_s, old.watch.no_voltage_s, last, swings)
     status |= away
     # fmt: off
     return GateResult(

@@ -113,28 +113,32 @@ def read_lane(
     noise: NoiseScalars,
     start: EkfStart,
     old: EkfState,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
     work: FloatArray,
     lane: int,
 ) -> None:
     """A cell's sample and its tables; whether its step is plain so far."""
     cell, w = tables.cell, old.watch
-    s = read_sample(tables, noise, w, start.temperature_C, reading)
-    soc = soc_step(cell, old.cell.soc, s.counted_current_A, s.dt_s)
-    plain = s.status == 0 and math.isfinite(s.voltage_V) and math.isfinite(soc)
+    reading = read_sample(tables, noise, w, start.temperature_C, sample)
+    soc = soc_step(cell, old.cell.soc, reading.counted_current_A, reading.dt_s)
+    plain = reading.status == 0 and math.isfinite(reading.voltage_V) and math.isfinite(soc)
     plain &= (w.evidence_s >= 0.0) & (w.no_voltage_s == 0.0) & (w.no_current_s == 0.0)
-    plain &= (old.p.ss <= WIDE_VARIANCE) & (s.no_warm_s <= 0.0)
-    plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A)
+    plain &= (old.p.ss <= WIDE_VARIANCE) & (reading.no_warm_s <= 0.0)
+    plain = plain and not is_outside(
+        noise.valid, soc, reading.temperature_C, reading.delayed_current_A
+    )
     work[PLAIN * LANES + lane] = 1.0 if plain else 0.0
     if plain:
-        slow = slow_step(cell, old.cell.slow_A, s.counted_current_A, s.dt_s)
-        point = loaded(tables, soc, s.temperature_C + old.cell.heat_K, s.delayed_current_A, slow)
+        slow = slow_step(cell, old.cell.slow_A, reading.counted_current_A, reading.dt_s)
+        point = loaded(
+            tables, soc, reading.temperature_C + old.cell.heat_K, reading.delayed_current_A, slow
+        )
         seen = Lane(
-            s.current_A,
-            s.delayed_current_A,
-            s.voltage_V,
-            s.temperature_C,
-            s.no_warm_s,
+            reading.current_A,
+            reading.delayed_current_A,
+            reading.voltage_V,
+            reading.temperature_C,
+            reading.no_warm_s,
             soc,
             slow,
             point,
@@ -149,7 +153,7 @@ def plain_step(
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
     cell, point, current_A = tables.cell, lane.point, lane.delayed_current_A
     # fmt: off
-    s = CheckedReading(
+    reading = CheckedReading(
         lane.current_A, current_A, current_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,
         lane.no_warm_s, dt_s, False, 0,
     )
@@ -157,19 +161,19 @@ def plain_step(
     end = states_step(old.cell, t, current_A, lane.soc, lane.slow_A)
     over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     c = step_constants(cell, noise, dt_s)
-    p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
+    p = with_noise(decayed(old.p, t), c, noise, reading, over, 0.0, tables.cell.charge_As)
     polarisation_V = polarisation_of(point, end, current_A)
     x = with_heat(end, heat_step(cell, end.heat_K, current_A, polarisation_V, dt_s))
     bias_soc = old.drift.believed * old.drift.reach
-    drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
+    drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, reading.current_A)
     now = Predicted(
         old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
         old.watch.evidence_s, drift, None, bias_soc, 0,
     )
     # fmt: on
-    i = innovate(c, tables, noise, None, s, now)
-    v = gate(c, noise, old, s, now.evidence_s, point.r0_ohm, i)
-    after, info = say(i, v, update(c, noise, None, s, now, i, v), v.status)
+    i = innovate(c, tables, noise, None, reading, now)
+    v = gate(c, noise, old, reading, now.evidence_s, point.r0_ohm, i)
+    after, info = say(i, v, update(c, noise, None, reading, now, i, v), v.status)
     return after, info, v.accepted
 
 
@@ -201,14 +205,14 @@ def full_lane(
     start: EkfStart,
     block: FloatArray,
     lane: int,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
     work: FloatArray,
     bank: FloatArray,
 ) -> None:
     """The EKF's own step for one lane; ``bank`` is its memory while its components are stepped."""
     if not is_spread(bank):
         put_record(bank[0], 0, 1, get_state(block, lane), True)
-    state, _, info = bank_or_alone(tables, noise, None, None, start, bank, None, reading)
+    state, _, info = bank_or_alone(tables, noise, None, None, start, bank, None, sample)
     put_record(block, lane, LANES, state, True)
     put_info(work, lane, info)
 
@@ -257,8 +261,8 @@ def lockstep(
         lanes = min(LANES, cells - first)
         for k in range(lanes):
             at = first + k
-            reading = MeasuredSample(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
-            read_lane(tables, noise, start, get_state(block, k), reading, work, k)
+            sample = MeasuredSample(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
+            read_lane(tables, noise, start, get_state(block, k), sample, work, k)
             if banks.spread[at]:
                 work[PLAIN * LANES + k] = 0.0
         plain_block(tables, noise, block, work, dt_s)
@@ -267,10 +271,10 @@ def lockstep(
             if work[PLAIN * LANES + k] > 0.0:
                 short += 1
             else:
-                reading = MeasuredSample(
+                sample = MeasuredSample(
                     current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at]
                 )
-                full_lane(tables, noise, start, block, k, reading, work, banks.states[at])
+                full_lane(tables, noise, start, block, k, sample, work, banks.states[at])
                 banks.spread[at] = is_spread(banks.states[at])
             for row in range(OUTPUTS):
                 out[row, at] = work[(OUT + row) * LANES + k]

@@ -102,13 +102,13 @@ def read_sample(
     noise: NoiseScalars,
     watch: SensorMonitor,
     default_C: float,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
 ) -> CheckedReading:
     """Readings that are missing or impossible replaced, and flagged in the status."""
     status = 0
-    dt_s, gap = reading.dt_s, reading.gap
+    dt_s, gap = sample.dt_s, sample.gap
     held = watch.current_A if math.isfinite(watch.current_A) else 0.0
-    current = reading.current_A
+    current = sample.current_A
     no_current = 0.0
     dead = current == watch.current_A and is_dead(watch.swings)
     if dead or not abs(current) <= noise.current_limit_A:  # catches what is no number, too
@@ -117,7 +117,7 @@ def read_sample(
             status |= OUT_OF_RANGE
         current = held
         no_current = watch.no_current_s + (0.0 if gap else dt_s)
-    temperature_C = reading.temperature_C
+    temperature_C = sample.temperature_C
     no_warm = watch.no_warm_s
     if not COLDEST_C <= temperature_C <= HOTTEST_C:
         temperature_C = watch.temperature_C if math.isfinite(watch.temperature_C) else default_C
@@ -127,7 +127,7 @@ def read_sample(
                 no_warm += dt_s
     else:
         no_warm = 0.0
-    voltage = reading.voltage_V
+    voltage = sample.voltage_V
     if not noise.voltage_low_V <= voltage <= noise.voltage_high_V:
         if math.isfinite(voltage):
             status |= OUT_OF_RANGE
@@ -161,32 +161,36 @@ def read_sample(
 
 
 @inline
-def watch_current(noise: NoiseScalars, watch: SensorMonitor, s: CheckedReading) -> float:
+def watch_current(noise: NoiseScalars, watch: SensorMonitor, reading: CheckedReading) -> float:
     """How often the voltage has gone up and down under a current that repeats itself bit by bit."""
-    after = swings_after(watch.swings, s.voltage_V - watch.voltage_V, noise.frozen_V)
-    return after if s.current_A == watch.current_A else 0.0
+    after = swings_after(watch.swings, reading.voltage_V - watch.voltage_V, noise.frozen_V)
+    return after if reading.current_A == watch.current_A else 0.0
 
 
 @inline
 def watch_voltage(
-    noise: NoiseScalars, watch: SensorMonitor, s: CheckedReading, innovation_V: float, r0_ohm: float
+    noise: NoiseScalars,
+    watch: SensorMonitor,
+    reading: CheckedReading,
+    innovation_V: float,
+    r0_ohm: float,
 ) -> tuple[HeldVoltage, float, int]:
     """Is the voltage frozen? Its last reading, swings, status bits."""
     last, status = HeldVoltage(watch.voltage_V, watch.frozen_A, watch.repeats), 0
-    if math.isfinite(s.voltage_V):
+    if math.isfinite(reading.voltage_V):
         last = repeats_after(
             watch.voltage_V, watch.frozen_A, watch.repeats,
-            s.voltage_V, s.delayed_current_A, r0_ohm, innovation_V, noise.frozen_V,
+            reading.voltage_V, reading.delayed_current_A, r0_ohm, innovation_V, noise.frozen_V,
         )  # fmt: skip
         if last.repeats >= FOUND_FROZEN:
             status = VOLTAGE_FROZEN
-    return last, watch_current(noise, watch, s), status
+    return last, watch_current(noise, watch, reading), status
 
 
 @inline
 def watch_on(
     noise: NoiseScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     used: bool,
     evidence_s: float,
     no_voltage_s: float,
@@ -196,9 +200,9 @@ def watch_on(
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
     if not used:
-        away = no_voltage_s + (0.0 if s.gap else s.dt_s)
+        away = no_voltage_s + (0.0 if reading.gap else reading.dt_s)
     watch = SensorMonitor(
-        s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
-        last.voltage_V, last.since_A, last.repeats, s.no_warm_s, swings,
+        reading.current_A, reading.temperature_C, evidence_s, reading.no_current_s, away,
+        last.voltage_V, last.since_A, last.repeats, reading.no_warm_s, swings,
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

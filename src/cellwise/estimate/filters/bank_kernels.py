@@ -130,17 +130,17 @@ def step_bank(
     sigma: SigmaScalars | None,
     start: EkfStart,
     bank: FloatArray,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
 ) -> EkfInfo:
     """Every component over one interval; the estimate is in the first row."""
     b, of = records_in(BANK, bank)[RECORD], records_in(STATE, bank)
     likeliest = state_in(bank, int(b.likeliest))
-    s = read_sample(tables, noise, likeliest.watch, start.temperature_C, reading)
-    m = BankModel(step_constants(tables.cell, noise, s.dt_s), tables, noise, sigma, start)
-    status = step_spread(m, b, of, count_of(bank), s, b, s.dt_s, s.gap)
+    reading = read_sample(tables, noise, likeliest.watch, start.temperature_C, sample)
+    m = BankModel(step_constants(tables.cell, noise, reading.dt_s), tables, noise, sigma, start)
+    status = step_spread(m, b, of, count_of(bank), reading, b, reading.dt_s, reading.gap)
     now = state_in(bank, 0)
     known = now.p.ss + drift_variance(now.drift)
     std = stated_deviation(known, now.mismatch, now.persistent, now.contradicted)
-    off, variance = s.voltage_V - b.voltage_V, b.innovation_variance_V2
+    off, variance = reading.voltage_V - b.voltage_V, b.innovation_variance_V2
     ratio = off * off / variance * noise.per_gate2
     return EkfInfo(now.cell.soc, std, b.voltage_V, off, variance, ratio, status)

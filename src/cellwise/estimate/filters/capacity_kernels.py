@@ -313,7 +313,7 @@ def watched_resistances(
     rules: FreeRules | None,
     free: Free | None,
     noise: NoiseScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     drop_V: float,
     v: GateResult,
     soc_variance: float,
@@ -325,8 +325,10 @@ def watched_resistances(
     if rules is None or free is None:
         return None
     r = free.resistances
-    if v.used and not s.gap:
+    if v.used and not reading.gap:
         white = noise.voltage_V * noise.voltage_V
-        hold = s.status & CURRENT_INVALID != 0 or soc_variance > rules.settled_variance
-        r = watch_resistances(r, rules.resistances, drop_V, v.innovation_V, white, s.dt_s, hold)
+        hold = reading.status & CURRENT_INVALID != 0 or soc_variance > rules.settled_variance
+        r = watch_resistances(
+            r, rules.resistances, drop_V, v.innovation_V, white, reading.dt_s, hold
+        )
     return Free(free.capacity, r)

@@ -127,24 +127,28 @@ class Seen(NamedTuple):
 
 @inline
 def use_in_bank(
-    m: BankModel, a: State, state: EkfState, s: CheckedReading, now: Predicted, i: Innovation
+    m: BankModel, a: State, state: EkfState, reading: CheckedReading, now: Predicted, i: Innovation
 ) -> Seen:
     """A voltage to a component, if there is one that can be used."""
     noise, evidence_s = m.noise, now.evidence_s
-    innovation_V = s.voltage_V - i.voltage_V
-    last, swings, frozen = watch_voltage(noise, state.watch, s, innovation_V, now.point.r0_ohm)
+    innovation_V = reading.voltage_V - i.voltage_V
+    last, swings, frozen = watch_voltage(
+        noise, state.watch, reading, innovation_V, now.point.r0_ohm
+    )
     used = math.isfinite(innovation_V) and frozen == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
         ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
-        shared = repeated_evidence(m.constant, noise, evidence_s, s.dt_s, s.delayed_current_A)
+        shared = repeated_evidence(
+            m.constant, noise, evidence_s, reading.dt_s, reading.delayed_current_A
+        )
         evidence_s = max(evidence_s, 0.0)
         innovation_V, inverse, cost = judge_component(
             m.constant, a, i, innovation_V, evidence_s, shared
         )
     if evidence_s >= 0.0:
-        evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, last, swings)
+        evidence_s += reading.dt_s
+    after, away = watch_on(noise, reading, used, evidence_s, state.watch.no_voltage_s, last, swings)
     status = frozen | away
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
@@ -157,18 +161,18 @@ def use_in_bank(
 
 
 @part
-def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
+def step(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     """A component over an interval: its status; ``out`` is what it has predicted."""
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
-    now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, s)
-    i = innovate(m.constant, m.tables, noise, m.sigma, s, now)
+    now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
+    i = innovate(m.constant, m.tables, noise, m.sigma, reading, now)
     if not (a.error_V2 > 0.0):
         a.error_V2 = i.single_V2
-    used = use_in_bank(m, a, now.state, s, now, i)
+    used = use_in_bank(m, a, now.state, reading, now, i)
     v = used.verdict
-    e = update(m.constant, noise, None, s, now, i, v) if v.accepted else without_voltage(now)
-    after, info = say(i, v, e, s.status | now.status | v.status)
+    e = update(m.constant, noise, None, reading, now, i, v) if v.accepted else without_voltage(now)
+    after, info = say(i, v, e, reading.status | now.status | v.status)
     put_record(a, 0, 1, after, True)
     a.cost += used.cost
     out.voltage_V = info.voltage_V

@@ -62,17 +62,17 @@ def bank_or_alone(
     start: EkfStart,
     bank: FloatArray,
     free: Free | None,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
 ) -> tuple[EkfState, Free | None, EkfInfo]:
     """One step of a bank in memory: of its components, or of the estimate alone."""
     state = state_in(bank, 0)
     if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
         open_bank(bank, state)
     if is_spread(bank):
-        info = step_bank(tables, noise, sigma, start, bank, reading)
+        info = step_bank(tables, noise, sigma, start, bank, sample)
         state = state_in(bank, 0)
         return state, waiting(rules, free, state.drift), info
-    state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, reading)
+    state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, sample)
     state = begin_again(tables, start, bank, state, info.status)
     put_record(bank[0], 0, 1, state, True)
     return state, free, info
@@ -101,8 +101,8 @@ def kalman_step_of_rows(
     tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0, 1))
     noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
     unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
-    reading = MeasuredSample(current_A, voltage_V, temperature_C, dt_s, gap)
-    _, _, info = bank_or_alone(tables, noise, sigma, None, unknown, bank, None, reading)
+    sample = MeasuredSample(current_A, voltage_V, temperature_C, dt_s, gap)
+    _, _, info = bank_or_alone(tables, noise, sigma, None, unknown, bank, None, sample)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
 
@@ -119,7 +119,7 @@ def put_info(values: FloatArray, k: int, info: EkfInfo) -> None:
 
 
 @inline
-def reading_of(log: LogArrays, k: int) -> MeasuredSample:
+def sample_of(log: LogArrays, k: int) -> MeasuredSample:
     """What the sensors say in one row."""
     return MeasuredSample(
         log.current_A[k], log.voltage_V[k], log.temperature_C[k], log.dt_s[k], log.gap[k]
@@ -172,16 +172,16 @@ def filter_rows(
     spread = is_spread(bank)
     offset_A = noise.offset_soc_per_s * tables.cell.charge_As
     for k in range(log.dt_s.size):
-        reading = reading_of(log, k)
+        sample = sample_of(log, k)
         if spread:
-            info = step_bank(tables, noise, sigma, start, bank, reading)
+            info = step_bank(tables, noise, sigma, start, bank, sample)
             state = state_in(bank, 0)
             free = waiting(rules, free, state.drift)
             spread = is_spread(bank)
         else:
             # fmt: off
             state, free, info = filter_step(
-                tables, noise, sigma, rules, start, state, free, reading
+                tables, noise, sigma, rules, start, state, free, sample
             )
             # fmt: on
             state = begin_again(tables, start, bank, state, info.status)
@@ -234,11 +234,11 @@ def adaptive_step(
     start: EkfStart,
     bank: FloatArray,
     free: Free,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
     out: TraceArrays,
 ) -> Free:
     """One step for online use; ``bank`` goes on, ``out`` is its one row."""
-    state, after, info = bank_or_alone(tables, noise, None, rules, start, bank, free, reading)
+    state, after, info = bank_or_alone(tables, noise, None, rules, start, bank, free, sample)
     put_info(out.values, 0, info)
     put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, state, after)
     out.status[0] = info.status

@@ -82,33 +82,40 @@ def before_start(cell: CellScalars, delayed_current_A: float) -> Before:
 @inline
 @unrolled
 def over_interval(
-    tables: CellTables, noise: NoiseScalars, x: ByState, soc: float, s: CheckedReading, begins: bool
+    tables: CellTables,
+    noise: NoiseScalars,
+    x: ByState,
+    soc: float,
+    reading: CheckedReading,
+    begins: bool,
 ) -> PredictedInterval:
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
-    effective_temperature_C = s.temperature_C + x.heat_K
-    slow = slow_step(cell, x.slow_A, s.counted_current_A, s.dt_s)
-    point: ByState = loaded(tables, soc, effective_temperature_C, s.delayed_current_A, slow)
+    effective_temperature_C = reading.temperature_C + x.heat_K
+    slow = slow_step(cell, x.slow_A, reading.counted_current_A, reading.dt_s)
+    point: ByState = loaded(tables, soc, effective_temperature_C, reading.delayed_current_A, slow)
     held: dict[Any, float] = {}
     unknown: dict[Any, float] = {}
     for i in BRANCHES:
         held[i], unknown[i] = x.state[i], 0.0
     if begins:
-        before = before_start(cell, s.delayed_current_A)
+        before = before_start(cell, reading.delayed_current_A)
         for i in BRANCHES:
             held[i] = point.r[i] * before.mean_A
             unknown[i] = held_variance(RESTED_V2, point.r[i], before.spread_A, before.limit_V)
-    t = transition(cell, point, s.counted_current_A, s.dt_s)
+    t = transition(cell, point, reading.counted_current_A, reading.dt_s)
     old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
-    end = states_step(old, t, s.counted_current_A, soc, slow)
-    polarisation_V = abs(point.r0_ohm * s.delayed_current_A) + held_in_branches(end)
+    end = states_step(old, t, reading.counted_current_A, soc, slow)
+    polarisation_V = abs(point.r0_ohm * reading.delayed_current_A) + held_in_branches(end)
     status = 0
-    if is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A):
+    if is_outside(noise.valid, soc, reading.temperature_C, reading.delayed_current_A):
         status = OUTSIDE
-        more = extrapolation_V(noise.valid, s.temperature_C, s.delayed_current_A, polarisation_V)
+        more = extrapolation_V(
+            noise.valid, reading.temperature_C, reading.delayed_current_A, polarisation_V
+        )
         point = widened(point, more)
-    if s.no_warm_s > 0.0:
-        point = widened(point, lost_temperature_V(s.no_warm_s, polarisation_V))
+    if reading.no_warm_s > 0.0:
+        point = widened(point, lost_temperature_V(reading.no_warm_s, polarisation_V))
     variances = Branches(*(unknown[i] for i in BRANCHES))
     return PredictedInterval(old, point, t, end, effective_temperature_C, variances, status)
 
@@ -119,7 +126,7 @@ def with_noise(
     p: Covariance,
     c: StepConstants,
     noise: NoiseScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     now: PredictedInterval,
     no_voltage_s: float,
     charge_As: float,
@@ -135,16 +142,18 @@ def with_noise(
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
     q = c.current_variance_A2
     # A capacity that is off puts every count off alike; over one discharge it adds up to as much.
-    flowed = noise.capacity_soc * abs(s.counted_current_A) * s.dt_s / charge_As
+    flowed = noise.capacity_soc * abs(reading.counted_current_A) * reading.dt_s / charge_As
     lost_A2 = unknown_square(
-        share_of(c, s.counted_current_A), s.counted_current_A, s.lost_A * s.lost_A
+        share_of(c, reading.counted_current_A),
+        reading.counted_current_A,
+        reading.lost_A * reading.lost_A,
     )
     return noisy(
         p,
         t,
         q,
-        q + s.gap_A2,
-        per_sqrt_s * per_sqrt_s * s.dt_s + flowed,
+        q + reading.gap_A2,
+        per_sqrt_s * per_sqrt_s * reading.dt_s + flowed,
         Branches(*(lost_A2 * point.r[i] * point.r[i] * (1.0 - t.a[i] * t.a[i]) for i in BRANCHES)),
     )
 
@@ -158,20 +167,20 @@ def gap_variance(gap_soc: float, charge_As: float, gap_A2: float, dt_s: float) -
 
 @inline
 def variance_after_gap(
-    tables: CellTables, noise: NoiseScalars, s: CheckedReading, ss: float
+    tables: CellTables, noise: NoiseScalars, reading: CheckedReading, ss: float
 ) -> float:
     """SOC's variance after a gap: nobody knows what flowed in it."""
-    if s.gap:
-        ss += gap_variance(noise.gap_soc, tables.cell.charge_As, s.gap_A2, s.dt_s)
+    if reading.gap:
+        ss += gap_variance(noise.gap_soc, tables.cell.charge_As, reading.gap_A2, reading.dt_s)
     return ss
 
 
 @inline
-def drifted(tables: CellTables, s: CheckedReading, ss: float) -> float:
+def drifted(tables: CellTables, reading: CheckedReading, ss: float) -> float:
     """SOC's variance while the current is lost."""
-    if s.lost_A <= 0.0:
+    if reading.lost_A <= 0.0:
         return ss
-    return drifted_variance(ss, s.lost_A * s.dt_s / tables.cell.charge_As)
+    return drifted_variance(ss, reading.lost_A * reading.dt_s / tables.cell.charge_As)
 
 
 @inline
@@ -180,7 +189,7 @@ def by_tangents(
     c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     now: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
@@ -188,15 +197,21 @@ def by_tangents(
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     end, point = now.end, now.point
     t: ByState = now.t
-    ss = drifted(tables, s, variance_after_gap(tables, noise, s, p.ss))
+    ss = drifted(tables, reading, variance_after_gap(tables, noise, reading, p.ss))
     p = changed(decayed(p, t), "ss", ss)
     slopes = slopes_at(
-        tables, end.soc, ss, point, now.effective_temperature_C, s.delayed_current_A, end.slow_A
+        tables,
+        end.soc,
+        ss,
+        point,
+        now.effective_temperature_C,
+        reading.delayed_current_A,
+        end.slow_A,
     )
     if slopes.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(
-            *(slopes.rise.row[i] * (1.0 - t.a[i]) * s.counted_current_A for i in BRANCHES)
+            *(slopes.rise.row[i] * (1.0 - t.a[i]) * reading.counted_current_A for i in BRANCHES)
         )
         p = driven_by_soc(p, drives)
-    return end, with_noise(p, c, noise, s, now, no_voltage_s, tables.cell.charge_As), slopes
+    return end, with_noise(p, c, noise, reading, now, no_voltage_s, tables.cell.charge_As), slopes

@@ -83,7 +83,7 @@ def by_points(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     now: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
@@ -96,7 +96,7 @@ def by_points(
     t, c = now.t, sigma.reach
     old: ByState = now.old
     point: ByState = now.point
-    ss = variance_after_gap(tables, noise, s, p.ss)
+    ss = variance_after_gap(tables, noise, reading, p.ss)
     root, along = along_soc(p, ss)
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
     # every point has the centre's.
@@ -108,14 +108,14 @@ def by_points(
             tables,
             now.end.soc + c * root,
             now.effective_temperature_C,
-            s.delayed_current_A,
+            reading.delayed_current_A,
             now.end.slow_A,
         )
         low = loaded(
             tables,
             now.end.soc - c * root,
             now.effective_temperature_C,
-            s.delayed_current_A,
+            reading.delayed_current_A,
             now.end.slow_A,
         )
     x: ByState = now.end
@@ -128,15 +128,19 @@ def by_points(
         above[i] = old.state[i] + c * along.row[i]
         below[i] = old.state[i] - c * along.row[i]
         if point.r[i] != 0.0:
-            above[i] = rc_step(above[i], s.counted_current_A, up.r[i], up.tau[i], s.dt_s)
-            below[i] = rc_step(below[i], s.counted_current_A, low.r[i], low.tau[i], s.dt_s)
+            above[i] = rc_step(
+                above[i], reading.counted_current_A, up.r[i], up.tau[i], reading.dt_s
+            )
+            below[i] = rc_step(
+                below[i], reading.counted_current_A, low.r[i], low.tau[i], reading.dt_s
+            )
         e[i] = (above[i] + below[i]) - 2.0 * x.state[i]
         v[i] = x.state[i] + sigma.side * e[i]
     d = Column(0.0, *((above[i] - below[i]) * per for i in BRANCHES), t.ah * along.h)  # type: ignore[call-arg]
     p = decayed(without_outer(p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))  # type: ignore[call-arg]
-    p = with_soc_row(p, drifted(tables, s, ss), d, root)
-    p = with_noise(p, constant, noise, s, now, no_voltage_s, tables.cell.charge_As)
+    p = with_soc_row(p, drifted(tables, reading, ss), d, root)
+    p = with_noise(p, constant, noise, reading, now, no_voltage_s, tables.cell.charge_As)
     x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     return x, p, tangent(point.ocv_slope_V, root if wide else 0.0)
 
@@ -146,7 +150,7 @@ def by_points(
 def voltage_by_points(
     tables: CellTables,
     sigma: SigmaScalars,
-    s: CheckedReading,
+    reading: CheckedReading,
     point: CellPoint,
     slopes: VoltageSlopes,
     effective_temperature_C: float,
@@ -158,15 +162,25 @@ def voltage_by_points(
     root, along = along_soc(p, p.ss)
     branches = sum(x.state[i] for i in BRANCHES)
     away = c * sum(along.row[i] for i in BRANCHES)
-    up = loaded(tables, x.soc + c * root, effective_temperature_C, s.delayed_current_A, x.slow_A)
-    low = loaded(tables, x.soc - c * root, effective_temperature_C, s.delayed_current_A, x.slow_A)
+    up = loaded(
+        tables, x.soc + c * root, effective_temperature_C, reading.delayed_current_A, x.slow_A
+    )
+    low = loaded(
+        tables, x.soc - c * root, effective_temperature_C, reading.delayed_current_A, x.slow_A
+    )
     r_up = up.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
     r_low = low.r0_ohm if slopes.spread > 0.0 else point.r0_ohm
-    centre = terminal_voltage(point, x.h, point.r0_ohm * s.delayed_current_A + branches)
-    above = terminal_voltage(up, x.h + c * along.h, r_up * s.delayed_current_A + branches + away)
-    below = terminal_voltage(low, x.h - c * along.h, r_low * s.delayed_current_A + branches - away)
+    centre = terminal_voltage(point, x.h, point.r0_ohm * reading.delayed_current_A + branches)
+    above = terminal_voltage(
+        up, x.h + c * along.h, r_up * reading.delayed_current_A + branches + away
+    )
+    below = terminal_voltage(
+        low, x.h - c * along.h, r_low * reading.delayed_current_A + branches - away
+    )
     first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
-    slope_V = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.delayed_current_A) / (2.0 * c * root)
+    slope_V = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * reading.delayed_current_A) / (
+        2.0 * c * root
+    )
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column_of(without_outer(p, along), 0.0, point.m_V)
     column = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))

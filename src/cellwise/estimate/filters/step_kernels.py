@@ -83,32 +83,36 @@ def predict(
     start: EkfStart,
     state: EkfState,
     free: Free | None,
-    s: CheckedReading,
+    reading: CheckedReading,
 ) -> Predicted:
     """Charge first, then the tables at the new SOC; a state that is not finite starts again."""
     cell = tables.cell
     status = 0
-    soc = soc_step(cell, state.cell.soc, s.counted_current_A, s.dt_s)
+    soc = soc_step(cell, state.cell.soc, reading.counted_current_A, reading.dt_s)
     if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
-        state, free = ekf_start(start, s.current_A), nothing_known(rules)
+        state, free = ekf_start(start, reading.current_A), nothing_known(rules)
         soc = state.cell.soc
         status = STATE_RESET
     p, evidence = state.p, state.watch.evidence_s
-    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN_S)
+    now = over_interval(tables, noise, state.cell, soc, reading, evidence == NOT_BEGUN_S)
     if evidence == NOT_BEGUN_S:
         p = uncorrelated(p.ss, now.unknown, p.phh)
         evidence = NO_VOLTAGE_YET_S
     bias_soc = state.drift.believed * state.drift.reach + capacity_soc(free)
-    counted = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
-    drift = counted_on(noise, state.drift, now.t, cell.charge_As, counted * s.dt_s, s.current_A)
-    within_data_A = 0.0 if now.status & OUTSIDE else counted * s.counted_current_A
-    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, within_data_A, s.dt_s)
+    counted = 0.0 if reading.gap or reading.lost_A > 0.0 else 1.0
+    drift = counted_on(
+        noise, state.drift, now.t, cell.charge_As, counted * reading.dt_s, reading.current_A
+    )
+    within_data_A = 0.0 if now.status & OUTSIDE else counted * reading.counted_current_A
+    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, within_data_A, reading.dt_s)
     if sigma is None:
-        x, p, slopes = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
+        x, p, slopes = by_tangents(c, tables, noise, reading, now, p, state.watch.no_voltage_s)
     else:
-        x, p, slopes = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
-    polarisation_V = polarisation_of(now.point, x, s.delayed_current_A)
-    x = with_heat(x, heat_step(cell, x.heat_K, s.counted_current_A, polarisation_V, s.dt_s))
+        x, p, slopes = by_points(c, tables, noise, sigma, reading, now, p, state.watch.no_voltage_s)
+    polarisation_V = polarisation_of(now.point, x, reading.delayed_current_A)
+    x = with_heat(
+        x, heat_step(cell, x.heat_K, reading.counted_current_A, polarisation_V, reading.dt_s)
+    )
     status |= now.status
     # fmt: off
     return Predicted(
@@ -124,21 +128,23 @@ def innovate(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
-    s: CheckedReading,
+    reading: CheckedReading,
     now: Predicted,
 ) -> Innovation:
     """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, slopes = now.x, now.point, now.slopes
     branches_V = held_in_branches(x)
-    single_V2 = variance_about(c, noise, point, s.delayed_current_A, s.lost_A, branches_V)
+    single_V2 = variance_about(
+        c, noise, point, reading.delayed_current_A, reading.lost_A, branches_V
+    )
     if sigma is None:
         column = column_of(now.p, slopes.slope_V, point.m_V)
         explained_V2 = bent_variance(explained(column, slopes.slope_V, point.m_V), slopes.bend_V)
-        voltage_V = voltage_of(point, x, s.delayed_current_A)
+        voltage_V = voltage_of(point, x, reading.delayed_current_A)
         voltage = PredictedVoltage(voltage_V, column, explained_V2, slopes.slope_V)
     else:
         voltage = voltage_by_points(
-            tables, sigma, s, point, slopes, now.effective_temperature_C, x, now.p
+            tables, sigma, reading, point, slopes, now.effective_temperature_C, x, now.p
         )
     # An offset has moved the polarisation, too: by what is believed of it, and what is not known.
     drift, slope_V = now.drift, voltage.slope_V
@@ -188,16 +194,16 @@ def filter_step(
     start: EkfStart,
     state: EkfState,
     free: Free | None,
-    reading: MeasuredSample,
+    sample: MeasuredSample,
 ) -> tuple[EkfState, Free | None, EkfInfo]:
     """Over the interval that ends now, then the voltage read now."""
-    s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
-    c = step_constants(tables.cell, noise, reading.dt_s)
-    now = predict(c, tables, noise, sigma, rules, start, state, free, s)
-    i = innovate(c, tables, noise, sigma, s, now)
-    v = gate(c, noise, now.state, s, now.evidence_s, now.point.r0_ohm, i)
-    e = update(c, noise, rules, s, now, i, v) if v.accepted else without_voltage(now)
-    after, info = say(i, v, e, s.status | now.status | v.status)
-    drop_V = now.point.r0_ohm * s.delayed_current_A + now.x.v1_V
-    free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)
+    reading = read_sample(tables, noise, state.watch, start.temperature_C, sample)
+    c = step_constants(tables.cell, noise, sample.dt_s)
+    now = predict(c, tables, noise, sigma, rules, start, state, free, reading)
+    i = innovate(c, tables, noise, sigma, reading, now)
+    v = gate(c, noise, now.state, reading, now.evidence_s, now.point.r0_ohm, i)
+    e = update(c, noise, rules, reading, now, i, v) if v.accepted else without_voltage(now)
+    after, info = say(i, v, e, reading.status | now.status | v.status)
+    drop_V = now.point.r0_ohm * reading.delayed_current_A + now.x.v1_V
+    free = watched_resistances(rules, e.free, noise, reading, drop_V, v, now.p.ss)
     return after, free, info

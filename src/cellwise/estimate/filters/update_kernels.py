@@ -79,7 +79,7 @@ def update(
     c: StepConstants,
     noise: NoiseScalars,
     rules: FreeRules | None,
-    s: CheckedReading,
+    reading: CheckedReading,
     now: Predicted,
     i: Innovation,
     v: GateResult,
@@ -100,7 +100,7 @@ def update(
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
     own_V = v.innovation_V + i.bias_V
-    informs = 0.0 if s.status & CURRENT_INVALID else v.inverse
+    informs = 0.0 if reading.status & CURRENT_INVALID else v.inverse
     drift = drift_step(now.drift, i.of_offset_V, own_V, k.s, v.inverse)
     free, drift = informed_capacity(
         rules, now.free, drift, i.of_offset_V, slope, own_V, k.s, informs, now.p.ss

@@ -78,12 +78,12 @@ def shared_by(c: Constants, x: State, delayed_current_A: float) -> Shared:
     return shared_evidence(c, steps_of_evidence(x), 1.0, alone)
 
 
-def outside(c: Constants, x: State, s: Reading) -> int:
+def outside(c: Constants, x: State, reading: Reading) -> int:
     """Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0."""
     status = U(0)
     if not within(x.soc, c.valid_soc_low, c.valid_soc_high):
         status = U(OUTSIDE)
-    if not within(s.delayed_current_A, c.valid_charge_A, c.valid_discharge_A):
+    if not within(reading.delayed_current_A, c.valid_charge_A, c.valid_discharge_A):
         status = U(OUTSIDE)
     if THERMAL and not within(x.temperature_C, c.valid_cold_C, c.valid_warm_C):
         status = U(OUTSIDE)
@@ -108,25 +108,25 @@ def extrapolated(c: Constants, x: State, delayed_current_A: float, polarisation_
 
 
 @unrolled_by_option
-def count_offset(c: Constants, x: State, p: Point, s: Reading, missing: int) -> None:
+def count_offset(c: Constants, x: State, p: Point, reading: Reading, missing: int) -> None:
     """How far an offset leads over one interval: the count, where there was one, and the branches.
 
     What is believed of it moves the SOC.
     """
     counted = 1.0
-    if missing != U(0) or s.unmeasured_A2 > 0.0:
+    if missing != U(0) or reading.unmeasured_A2 > 0.0:
         counted = 0.0
     moved = counted * c.drift_soc
     x.reach = at_most(x.reach + moved, REACH_MOST)
     x.soc, x.soc_carry = add(x.soc, x.soc_carry, x.believed * moved)
     for i in BRANCHES:
         x.d[i] = x.d[i] + (p.gain[i] * ((p.r[i] * c.offset_A) - x.d[i]))
-    now = rest_after(x.rest, x.rest_A, s.current, counted, c.rate_A, c.rest_steps)
+    now = rest_after(x.rest, x.rest_A, reading.current, counted, c.rate_A, c.rest_steps)
     x.rest = now.lasts
     x.rest_A = now.current_A
     if now.weight > 0.0 and c.offset_A > 0.0 and x.information < INFORMATION_MOST - now.weight:
         x.information = x.information + now.weight
-        x.score = x.score + ((now.weight * s.current) / c.offset_A)
+        x.score = x.score + ((now.weight * reading.current) / c.offset_A)
 
 
 @unrolled_by_option
@@ -153,18 +153,18 @@ def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inve
 
 
 @unrolled_by_option
-def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovation:
+def innovate(c: Constants, x: State, p: Point, w: Slopes, reading: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
-    drop = p.r0_ohm * s.delayed_current_A
+    drop = p.r0_ohm * reading.delayed_current_A
     polarisation_V = magnitude(drop)
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
     single_V2 = single_variance(
-        c, p.noise_V2, s.delayed_current_A, polarisation_V, s.unmeasured_A2, p.r0_ohm
+        c, p.noise_V2, reading.delayed_current_A, polarisation_V, reading.unmeasured_A2, p.r0_ohm
     )
     if VALIDITY:
-        beyond_V = extrapolated(c, x, s.delayed_current_A, polarisation_V)
+        beyond_V = extrapolated(c, x, reading.delayed_current_A, polarisation_V)
         single_V2 = single_V2 + (beyond_V * beyond_V)
     column = column_of(x, w.slope_V, p.m_V)
     explained_V2 = explained(column, w.slope_V, p.m_V)

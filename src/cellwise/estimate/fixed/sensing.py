@@ -115,18 +115,18 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     )
 
 
-def count_charge(c: Constants, x: State, s: Reading) -> Charge:
+def count_charge(c: Constants, x: State, reading: Reading) -> Charge:
     """SOC over the interval that ends now: charge comes first, then the branches at the new SOC."""
-    status = s.status
-    missing = s.missing
+    status = reading.status
+    missing = reading.missing
     bridge = 0.0
-    if s.news == INTERVAL:
-        used = taken(c, x, s.counted_current_A)
+    if reading.news == INTERVAL:
+        used = taken(c, x, reading.counted_current_A)
         if missing != U(0):
             status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
-                bridge = 0.5 * (s.current + x.current_A)
-                if WIDE and s.silent > c.hold_steps:
+                bridge = 0.5 * (reading.current + x.current_A)
+                if WIDE and reading.silent > c.hold_steps:
                     bridge = 0.0
                 used = used + (taken(c, x, bridge) * F(missing))
             else:  # nobody knows what flowed; self-discharge goes on
@@ -139,7 +139,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                         lost = lost * x.per_capacity
                     used = used + lost
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
-        if s.unmeasured_A2 > 0.0:
+        if reading.unmeasured_A2 > 0.0:
             if WIDE:
                 x.ss = drifted_variance(x.ss, c.lost_soc)
                 if BANK and x.in_bank == ALONE:
@@ -149,13 +149,13 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
     return Charge(status, missing, bridge)
 
 
-def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
+def follow(c: Constants, x: State, reading: Reading, charge: Charge) -> None:
     """Current that the particles' surface follows: over missing samples what bridges them."""
     if charge.missing != U(0):
         left = vanishing(F(charge.missing) * c.surface_rate)
         x.slow_A = charge.bridge + (left * (x.slow_A - charge.bridge))
-    if s.news == INTERVAL:
-        x.slow_A = x.slow_A + (c.surface_gain * (s.counted_current_A - x.slow_A))
+    if reading.news == INTERVAL:
+        x.slow_A = x.slow_A + (c.surface_gain * (reading.counted_current_A - x.slow_A))
 
 
 def variance_of(x: State, known: float) -> float:
@@ -167,7 +167,7 @@ def variance_of(x: State, known: float) -> float:
     return stated if not_negative(stated, LARGE) else LARGE
 
 
-def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:
+def finish(x: State, reading: Reading, missing: int, sequence: int, out: Output) -> int:
     """Hold SOC within its bounds, remember the sample: the status of the clamp.
 
     A variance that memory which lost a bit has driven below zero is none: this step knows nothing,
@@ -178,12 +178,12 @@ def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> in
         x.soc = within_one(x.soc)
         x.soc_carry = 0.0
         status = U(CLAMPED)
-    if s.news != REPEATED:
-        x.current_A = s.current
+    if reading.news != REPEATED:
+        x.current_A = reading.current
         x.sequence = sequence
         if WIDE:
-            x.no_current = s.silent
-        if s.news == INTERVAL and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
+            x.no_current = reading.silent
+        if reading.news == INTERVAL and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
             x.evidence = U(x.evidence + 1 + missing)
     out.soc = x.soc
     out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE

@@ -103,7 +103,13 @@ def begin_evidence(x: State) -> None:
 
 
 def weigh(
-    c: Constants, x: State, p: Point, s: Reading, i: Innovation, innovation: float, beyond: int
+    c: Constants,
+    x: State,
+    p: Point,
+    reading: Reading,
+    i: Innovation,
+    innovation: float,
+    beyond: int,
 ) -> int:
     """A voltage that is looked at: rejected, or used.
 
@@ -113,27 +119,27 @@ def weigh(
     if BANK and x.in_bank == COMPONENT:
         if not (x.error_V2 > 0.0):
             x.error_V2 = i.single_V2
-        shared = shared_by(c, x, s.delayed_current_A)
-        if s.news == INTERVAL or shared.above <= shared.below:
+        shared = shared_by(c, x, reading.delayed_current_A)
+        if reading.news == INTERVAL or shared.above <= shared.below:
             used = judge_component(c, x, i, innovation, steps_of_evidence(x), shared)
             x.cost = x.cost + used.cost
             fuse(c, x, p, i, used.off_V, used.inverse)
         begin_evidence(x)
     else:
-        lately = c.lately if s.news == INTERVAL else 0.0
+        lately = c.lately if reading.news == INTERVAL else 0.0
         v = judge(c, x, i, innovation, lately, U(1))
         status = v.status
         x.rejections = v.rejections
         x.mismatch = v.mismatch
         if v.accepted:
-            shared = shared_by(c, x, s.delayed_current_A)
-            if s.news == INTERVAL or shared.above <= shared.below:
+            shared = shared_by(c, x, reading.delayed_current_A)
+            if reading.news == INTERVAL or shared.above <= shared.below:
                 fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, shared))
                 if WIDE:
                     contradict(c, x, i, innovation, beyond)
             begin_evidence(x)
         elif v.recovers:
-            recover(c, x, p, s.delayed_current_A)
+            recover(c, x, p, reading.delayed_current_A)
     return status
 
 
@@ -142,7 +148,7 @@ def correct(
     x: State,
     p: Point,
     w: Slopes,
-    s: Reading,
+    reading: Reading,
     voltage: float,
     beyond: int,
     out: Output,
@@ -151,9 +157,9 @@ def correct(
     status = U(0)
     if WIDE:
         away = x.no_voltage
-        if s.news == INTERVAL and away < COUNT_MOST:
+        if reading.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
-    i = innovate(c, x, p, w, s)
+    i = innovate(c, x, p, w, reading)
     out.voltage_V = i.voltage_V
     out.innovation_variance_V2 = i.variance_V2
     out.innovation_V = 0.0
@@ -162,16 +168,18 @@ def correct(
     else:
         innovation = voltage - i.voltage_V
         out.innovation_V = innovation
-        if s.news != REPEATED:  # a repeated sample is no evidence
+        if reading.news != REPEATED:  # a repeated sample is no evidence
             if WIDE:
                 watch_current(c, x, voltage)
-                status = watch_voltage(c, x, voltage, s.delayed_current_A, p.r0_ohm, innovation)
+                status = watch_voltage(
+                    c, x, voltage, reading.delayed_current_A, p.r0_ohm, innovation
+                )
                 if status == U(0):
                     away = U(0)
             if status == U(0):
-                status = weigh(c, x, p, s, i, innovation, beyond)
+                status = weigh(c, x, p, reading, i, innovation, beyond)
     if WIDE:
-        if s.news != REPEATED:
+        if reading.news != REPEATED:
             x.no_voltage = away
         if away > c.hold_steps:
             status = U(status | VOLTAGE_LOST)
@@ -212,32 +220,32 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         status = U(STATE_RESET)
         if BANK:
             x.in_bank = CONTRADICTED
-    s = see(c, x, sample, status)
-    place = place_of(m, s.temperature_C) if WARM else place_of(m, 0.0)
-    charge = count_charge(c, x, s)
+    reading = see(c, x, sample, status)
+    place = place_of(m, reading.temperature_C) if WARM else place_of(m, 0.0)
+    charge = count_charge(c, x, reading)
     if SURFACE:
-        follow(c, x, s, charge)
-        place = under_surface(c, x, place, s.temperature_C)
+        follow(c, x, reading, charge)
+        place = under_surface(c, x, place, reading.temperature_C)
     if HEALTH:
         place = aged(x, place)
-    p = look_up(m, place, x.soc, s.delayed_current_A)
+    p = look_up(m, place, x.soc, reading.delayed_current_A)
     if x.evidence == NOT_BEGUN:
-        guess_branches(c, x, p, s.delayed_current_A)
+        guess_branches(c, x, p, reading.delayed_current_A)
         x.evidence = NO_VOLTAGE_YET
     if charge.missing != U(0):
-        cross_gap(c, x, p, charge.missing, s.current, charge.bridge)
+        cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
     w = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE:
-        w = slopes_of(m, place, x.soc, root(x.ss), s.delayed_current_A, p)
-    if s.news == INTERVAL:
-        predict(c, x, p, w, s.counted_current_A, s.unmeasured_A2)
+        w = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
+    if reading.news == INTERVAL:
+        predict(c, x, p, w, reading.counted_current_A, reading.unmeasured_A2)
         if HEATING:
-            heat(c, x, p.r0_ohm, s.delayed_current_A, s.counted_current_A)
+            heat(c, x, p.r0_ohm, reading.delayed_current_A, reading.counted_current_A)
         if OFFSET:
-            count_offset(c, x, p, s, charge.missing)
-    beyond = outside(c, x, s) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, w, s, sample.voltage_V, beyond, out))
-    status = U(status | finish(x, s, charge.missing, sample.sequence, out))
+            count_offset(c, x, p, reading, charge.missing)
+    beyond = outside(c, x, reading) if VALIDITY else U(0)
+    status = U(charge.status | correct(c, x, p, w, reading, sample.voltage_V, beyond, out))
+    status = U(status | finish(x, reading, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status
     return status

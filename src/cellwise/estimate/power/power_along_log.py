@@ -26,7 +26,7 @@ from cellwise.cell.equations import (
 from cellwise.cell.packed import changed, put_record, size_of
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.estimate.filters.filter_state import EkfState, LogArrays
-from cellwise.estimate.filters.kalman_kernels import AdaptiveState, reading_of
+from cellwise.estimate.filters.kalman_kernels import AdaptiveState, sample_of
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
@@ -210,7 +210,7 @@ def carried_rows(
     """What is known at every row of a log, shape (rows, numbers of an OperatingPoint)."""
     now = start
     for k in range(log.dt_s.size):
-        now = carried_on(tables, now, reading_of(log, k), soc[k], status[k])
+        now = carried_on(tables, now, sample_of(log, k), soc[k], status[k])
         variance = soc_std[k] * soc_std[k]
         known = OperatingPoint(now.cell, variance, log.temperature_C[k], now.memory.but)
         put_record(out[k], 0, 1, known, True)
