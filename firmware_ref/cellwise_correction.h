@@ -18,10 +18,10 @@ static void recover(const cellwise_constants *c, cellwise_state *x, const cellwi
 }
 
 /* What the voltages say against the count. Beyond the model's data they confirm nothing. */
-static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_innovation *i, float innovation,
-                       uint32_t beyond)
+static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_innovation *innovation,
+                       float innovation_V, uint32_t beyond)
 {
-    const float now = contradicted_after(c, x, i, innovation, steps_of_evidence(x));
+    const float now = contradicted_after(c, x, innovation, innovation_V, steps_of_evidence(x));
     const bool confirms = (beyond != 0u) && (magnitude(now) < magnitude(x->contradicted));
     if (SIZE_WITHIN(now, 1.0f) && !confirms) { /* a number */
         x->contradicted = now;
@@ -30,9 +30,9 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
 
 /* SOC error by a persistent error of the model, after a voltage with a gain. */
 static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                    const cellwise_innovation *i, float gain)
+                    const cellwise_innovation *innovation, float gain)
 {
-    float now = persistent_after(c, x, i, p->noise_V2 - c->fixed_V2, x->mismatch, gain);
+    float now = persistent_after(c, x, innovation, p->noise_V2 - c->fixed_V2, x->mismatch, gain);
     if (!SIZE_WITHIN(now, 1.0f)) {
         now = 1.0f;
     }
@@ -40,15 +40,15 @@ static void persist(const cellwise_constants *c, cellwise_state *x, const cellwi
 }
 
 /* State and covariance after a voltage, by one over the variance that weighs it. */
-static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_innovation *i,
-                 float innovation, float inverse)
+static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                 const cellwise_innovation *innovation, float innovation_V, float inverse)
 {
-    cellwise_column k;
-    scaled(&i->column, inverse, &k);
-    move(x, &k, innovation);
-    narrow(x, &k, &i->column);
-    persist(c, x, p, i, k.s);
-    ask_for_offset(x, i, innovation, k.s, inverse);
+    cellwise_column gain;
+    scaled(&innovation->column, inverse, &gain);
+    move(x, &gain, innovation_V);
+    narrow(x, &gain, &innovation->column);
+    persist(c, x, p, innovation, gain.s);
+    ask_for_offset(x, innovation, innovation_V, gain.s, inverse);
 }
 
 /* A voltage has been used. */
@@ -61,38 +61,39 @@ static void begin_evidence(cellwise_state *x)
 
 /* A voltage that is looked at: rejected, or used. A first sample under load says more of the load than of the SOC. */
 static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                      const cellwise_reading *reading, const cellwise_innovation *i, float innovation, uint32_t beyond)
+                      const cellwise_reading *reading, const cellwise_innovation *innovation, float innovation_V,
+                      uint32_t beyond)
 {
     uint32_t status = 0u;
     if (x->in_bank == COMPONENT) {
         if (!(x->error_V2 > 0.0f)) {
-            x->error_V2 = i->single_V2;
+            x->error_V2 = innovation->single_V2;
         }
         cellwise_shared shared;
         shared_by(c, x, reading->delayed_current_A, &shared);
         if ((reading->news == INTERVAL) || (shared.above <= shared.below)) {
             cellwise_componentupdate used;
-            judge_component(c, x, i, innovation, steps_of_evidence(x), &shared, &used);
+            judge_component(c, x, innovation, innovation_V, steps_of_evidence(x), &shared, &used);
             x->cost = x->cost + used.cost;
-            fuse(c, x, p, i, used.off_V, used.inverse);
+            fuse(c, x, p, innovation, used.off_V, used.inverse);
         }
         begin_evidence(x);
     } else {
         const float lately = (reading->news == INTERVAL) ? c->lately : 0.0f;
-        cellwise_verdict v;
-        judge(c, x, i, innovation, lately, 1u, &v);
-        status = v.status;
-        x->rejections = v.rejections;
-        x->mismatch = v.mismatch;
-        if (v.accepted) {
+        cellwise_verdict verdict;
+        judge(c, x, innovation, innovation_V, lately, 1u, &verdict);
+        status = verdict.status;
+        x->rejections = verdict.rejections;
+        x->mismatch = verdict.mismatch;
+        if (verdict.accepted) {
             cellwise_shared shared;
             shared_by(c, x, reading->delayed_current_A, &shared);
             if ((reading->news == INTERVAL) || (shared.above <= shared.below)) {
-                fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, &shared));
-                contradict(c, x, i, innovation, beyond);
+                fuse(c, x, p, innovation, innovation_V, weight_of(innovation, verdict.shown, verdict.unit, &shared));
+                contradict(c, x, innovation, innovation_V, beyond);
             }
             begin_evidence(x);
-        } else if (v.recovers) {
+        } else if (verdict.recovers) {
             recover(c, x, p, reading->delayed_current_A);
         } else { /* as before */
         }
@@ -110,24 +111,24 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
     if ((reading->news == INTERVAL) && (away < COUNT_MOST)) {
         away = away + 1u;
     }
-    cellwise_innovation i;
-    innovate(c, x, p, w, reading, &i);
-    out->voltage_V = i.voltage_V;
-    out->innovation_variance_V2 = i.variance_V2;
+    cellwise_innovation innovation;
+    innovate(c, x, p, w, reading, &innovation);
+    out->voltage_V = innovation.voltage_V;
+    out->innovation_variance_V2 = innovation.variance_V2;
     out->innovation_V = 0.0f;
     if (!POSITIVE_WITHIN(voltage, c->voltage_low_V, c->voltage_high_V)) {
         status = CELLWISE_VOLTAGE_INVALID | out_of_range(voltage);
     } else {
-        const float innovation = voltage - i.voltage_V;
-        out->innovation_V = innovation;
+        const float innovation_V = voltage - innovation.voltage_V;
+        out->innovation_V = innovation_V;
         if (reading->news != REPEATED) { /* a repeated sample is no evidence */
             watch_current(c, x, voltage);
-            status = watch_voltage(c, x, voltage, reading->delayed_current_A, p->r0_ohm, innovation);
+            status = watch_voltage(c, x, voltage, reading->delayed_current_A, p->r0_ohm, innovation_V);
             if (status == 0u) {
                 away = 0u;
             }
             if (status == 0u) {
-                status = weigh(c, x, p, reading, &i, innovation, beyond);
+                status = weigh(c, x, p, reading, &innovation, innovation_V, beyond);
             }
         }
     }

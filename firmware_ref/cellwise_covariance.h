@@ -174,13 +174,13 @@ static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slop
 }
 
 /* State + K innovation. */
-static void move(cellwise_state *x, const cellwise_column *k, float innovation)
+static void move(cellwise_state *x, const cellwise_column *k, float innovation_V)
 {
-    add(&x->soc, &x->soc_carry, k->s * innovation);
-    x->v1_V = x->v1_V + (k->v1 * innovation);
-    x->v2_V = x->v2_V + (k->v2 * innovation);
-    add(&x->v3_V, &x->v3_carry_V, k->v3 * innovation);
-    x->h = x->h + (k->h * innovation);
+    add(&x->soc, &x->soc_carry, k->s * innovation_V);
+    x->v1_V = x->v1_V + (k->v1 * innovation_V);
+    x->v2_V = x->v2_V + (k->v2 * innovation_V);
+    add(&x->v3_V, &x->v3_carry_V, k->v3 * innovation_V);
+    x->h = x->h + (k->h * innovation_V);
     x->h = clip(x->h, -1.0f, 1.0f);
 }
 

@@ -22,10 +22,10 @@ static void watch_current(const cellwise_constants *c, cellwise_state *x, float 
 
 /* CW-009. Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float delayed_current_A,
-                              float r0_ohm, float innovation)
+                              float r0_ohm, float innovation_V)
 {
     cellwise_heldvoltage now;
-    repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, delayed_current_A, r0_ohm, innovation, c->frozen_V,
+    repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, delayed_current_A, r0_ohm, innovation_V, c->frozen_V,
                   &now);
     x->voltage_V = now.voltage_V;
     x->frozen_A = now.since_A;
@@ -115,18 +115,19 @@ static float dropped_by_offset(const cellwise_constants *c, const cellwise_state
 }
 
 /* What a voltage that has moved the state says of an offset, and where that moves the SOC. */
-static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float gain, float inverse)
+static void ask_for_offset(cellwise_state *x, const cellwise_innovation *innovation, float innovation_V, float gain,
+                           float inverse)
 {
     const float before = x->believed * x->reach;
-    const float own_V = innovation + i->bias_V;
+    const float own_V = innovation_V + innovation->bias_V;
     cellwise_offset now;
-    offset_after(x->score, x->information, i->of_offset_V, own_V, inverse, &now);
-    x->reach = x->reach - (gain * i->of_offset_V);
+    offset_after(x->score, x->information, innovation->of_offset_V, own_V, inverse, &now);
+    x->reach = x->reach - (gain * innovation->of_offset_V);
     x->score = now.score;
     x->information = now.information;
     x->believed = now.believed;
     x->unsure = now.unsure;
-    const float more = (gain * i->bias_V) + ((x->believed * x->reach) - before);
+    const float more = (gain * innovation->bias_V) + ((x->believed * x->reach) - before);
     add(&x->soc, &x->soc_carry, more);
 }
 

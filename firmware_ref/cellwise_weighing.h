@@ -34,17 +34,17 @@ typedef struct {
 
 /* CW-008. Gate and count one innovation. It moves the running mismatch by `lately` and counts as a rejection for
  * `turn`. */
-static void judge(const cellwise_constants *c, const cellwise_state *x, const cellwise_innovation *i,
+static void judge(const cellwise_constants *c, const cellwise_state *x, const cellwise_innovation *innovation,
                   float innovation_V, float lately, uint32_t turn, cellwise_verdict *verdict)
 {
     const float square = innovation_V * innovation_V;
-    const float own_V2 = i->explained_V2 + i->single_V2;
+    const float own_V2 = innovation->explained_V2 + innovation->single_V2;
     verdict->unit = unit_of(own_V2);
     /* one counts for so much at most */
     const float most = at_most(in_units(square, own_V2), c->mismatch_cap * verdict->unit);
     verdict->shown = lately_shown(x->mismatch * verdict->unit, most, lately);
     verdict->mismatch = verdict->shown / verdict->unit;
-    verdict->accepted = !POSITIVE_ABOVE(square, c->gate_square * i->variance_V2);
+    verdict->accepted = !POSITIVE_ABOVE(square, c->gate_square * innovation->variance_V2);
     verdict->recovers = false;
     verdict->rejections = 0u;
     verdict->status = 0u;
@@ -62,43 +62,44 @@ static void judge(const cellwise_constants *c, const cellwise_state *x, const ce
 
 /* One over the variance that weighs an accepted voltage. What the innovations have lately shown beyond their
  * variance makes evidence weigh less. */
-static float weight_of(const cellwise_innovation *i, float shown, float unit, const cellwise_shared *shared)
+static float weight_of(const cellwise_innovation *innovation, float shown, float unit, const cellwise_shared *shared)
 {
-    const float of_single = i->single_V2 * shared->above;
+    const float of_single = innovation->single_V2 * shared->above;
     float weight = unit * of_single;
     if (POSITIVE_ABOVE(shown, unit)) {
         weight = shown * of_single;
     }
-    return inverse_weight(i->explained_V2, weight, unit * shared->below);
+    return inverse_weight(innovation->explained_V2, weight, unit * shared->below);
 }
 
 /* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass. The variance of a
  * voltage is that of the likeliest component, for all: one whose tables state a larger error must not explain
  * everything. */
-static void judge_component(const cellwise_constants *c, const cellwise_state *x, const cellwise_innovation *i,
-                            float innovation_V, float since, const cellwise_shared *shared,
-                            cellwise_componentupdate *componentupdate)
+static void judge_component(const cellwise_constants *c, const cellwise_state *x,
+                            const cellwise_innovation *innovation, float innovation_V, float since,
+                            const cellwise_shared *shared, cellwise_componentupdate *componentupdate)
 {
     const float weight = as_shown(x->error_V2 * shared->above, x->mismatch);
     const float share = evidence_share(c->fades, c->stays, c->shared, since);
-    component_update(innovation_V, i->variance_V2, c->gate_square, i->explained_V2, weight, shared->below, share,
-                     componentupdate);
+    component_update(innovation_V, innovation->variance_V2, c->gate_square, innovation->explained_V2, weight,
+                     shared->below, share, componentupdate);
 }
 
 /* SOC that the voltages say is missing, were the current off for all of the time `since`. */
-static float contradicted_after(const cellwise_constants *c, const cellwise_state *x, const cellwise_innovation *i,
-                                float innovation_V, float since)
+static float contradicted_after(const cellwise_constants *c, const cellwise_state *x,
+                                const cellwise_innovation *innovation, float innovation_V, float since)
 {
     const float drift = c->drift_soc * since;
-    return contradicted_step(x->contradicted, innovation_V, i->slope_V, i->single_V2, drift, c->contradicted_share);
+    return contradicted_step(x->contradicted, innovation_V, innovation->slope_V, innovation->single_V2, drift,
+                             c->contradicted_share);
 }
 
 /* SOC error by a persistent error of the model, after a voltage with a `gain` of the SOC. */
-static float persistent_after(const cellwise_constants *c, const cellwise_state *x, const cellwise_innovation *i,
-                              float error_V2, float mismatch, float gain)
+static float persistent_after(const cellwise_constants *c, const cellwise_state *x,
+                              const cellwise_innovation *innovation, float error_V2, float mismatch, float gain)
 {
     const float error_V = persistent_V(c->persistent, error_V2, mismatch);
-    return persistent_step(gain, i->slope_V, x->persistent, error_V);
+    return persistent_step(gain, innovation->slope_V, x->persistent, error_V);
 }
 
 #endif

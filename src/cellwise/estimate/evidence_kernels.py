@@ -181,11 +181,11 @@ def gate(
     reading: CheckedReading,
     evidence_s: float,
     r0_ohm: float,
-    i: Innovation,
+    innovation: Innovation,
 ) -> GateResult:
     """Gate, count, and weigh the voltage of one sample, if there is one that can be used."""
-    innovation_V = reading.voltage_V - i.voltage_V
-    ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
+    innovation_V = reading.voltage_V - innovation.voltage_V
+    ratio = innovation_V * innovation_V / innovation.variance_V2 * noise.per_gate2
     last, swings, status = watch_voltage(noise, old.watch, reading, innovation_V, r0_ohm)
     used = False
     accepted = False
@@ -197,16 +197,16 @@ def gate(
     elif status & VOLTAGE_FROZEN == 0:
         used = True
         # Ten samples a second repeat one error: each counts for its time, at most for one.
-        v = judge(c, old, i, innovation_V, c.lately, min(reading.dt_s, 1.0))
-        status |= v.status
-        accepted, rejections, mismatch = v.accepted, v.rejections, v.mismatch
+        verdict = judge(c, old, innovation, innovation_V, c.lately, min(reading.dt_s, 1.0))
+        status |= verdict.status
+        accepted, rejections, mismatch = verdict.accepted, verdict.rejections, verdict.mismatch
         if accepted:
             shared = repeated_evidence(
                 c, noise, evidence_s, reading.dt_s, reading.delayed_current_A
             )
-            inverse = weight_of(i, v.shown, v.unit, shared)
+            inverse = weight_of(innovation, verdict.shown, verdict.unit, shared)
             evidence_s = max(evidence_s, 0.0)
-        elif v.recovers:
+        elif verdict.recovers:
             evidence_s = 0.0
     if evidence_s >= 0.0:
         evidence_s += reading.dt_s

@@ -55,7 +55,7 @@ from cellwise.estimate.filters.kalman import BankState, Ekf, check_state
 from cellwise.estimate.filters.kalman_kernels import bank_or_alone
 from cellwise.estimate.filters.offset_kernels import counted_on
 from cellwise.estimate.filters.predict_kernels import PredictedInterval, with_noise
-from cellwise.estimate.filters.step_kernels import innovate, say
+from cellwise.estimate.filters.step_kernels import innovate, report
 from cellwise.estimate.filters.update_kernels import Predicted, update
 from cellwise.estimate.noise import Noise, NoiseScalars
 from cellwise.estimate.sensing_kernels import CheckedReading, MeasuredSample, read_sample
@@ -171,10 +171,15 @@ def plain_step(
         old.watch.evidence_s, drift, None, bias_soc, 0,
     )
     # fmt: on
-    i = innovate(c, tables, noise, None, reading, now)
-    v = gate(c, noise, old, reading, now.evidence_s, point.r0_ohm, i)
-    after, info = say(i, v, update(c, noise, None, reading, now, i, v), v.status)
-    return after, info, v.accepted
+    innovation = innovate(c, tables, noise, None, reading, now)
+    gate_result = gate(c, noise, old, reading, now.evidence_s, point.r0_ohm, innovation)
+    after, info = report(
+        innovation,
+        gate_result,
+        update(c, noise, None, reading, now, innovation, gate_result),
+        gate_result.status,
+    )
+    return after, info, gate_result.accepted
 
 
 @inline

@@ -73,21 +73,21 @@ class Verdict(NamedTuple):
 
 @inline
 def judge(
-    c: Constants, x: State, i: Innovation, innovation_V: float, lately: float, turn: Count
+    c: Constants, x: State, innovation: Innovation, innovation_V: float, lately: float, turn: Count
 ) -> Verdict:
     """Gate and count one innovation.
 
     It moves the running mismatch by ``lately`` and counts as a rejection for ``turn``.
     """
     square = innovation_V * innovation_V
-    own_V2 = i.explained_V2 + i.single_V2
+    own_V2 = innovation.explained_V2 + innovation.single_V2
     unit = unit_of(own_V2)
     most = at_most(
         in_units(square, own_V2), c.mismatch_cap * unit
     )  # one counts for so much at most
     shown = lately_shown(x.mismatch * unit, most, lately)
     mismatch = shown / unit
-    accepted = not positive_above(square, c.gate_square * i.variance_V2)
+    accepted = not positive_above(square, c.gate_square * innovation.variance_V2)
     recovers = False
     rejections = Count(0)
     status = U(0)
@@ -103,21 +103,26 @@ def judge(
 
 
 @inline
-def weight_of(i: Innovation, shown: float, unit: float, shared: Shared) -> float:
+def weight_of(innovation: Innovation, shown: float, unit: float, shared: Shared) -> float:
     """One over the variance that weighs an accepted voltage.
 
     What the innovations have lately shown beyond their variance makes evidence weigh less.
     """
-    of_single = i.single_V2 * shared.above
+    of_single = innovation.single_V2 * shared.above
     weight = unit * of_single
     if positive_above(shown, unit):
         weight = shown * of_single
-    return inverse_weight(i.explained_V2, weight, unit * shared.below)
+    return inverse_weight(innovation.explained_V2, weight, unit * shared.below)
 
 
 @inline
 def judge_component(
-    c: Constants, x: State, i: Innovation, innovation_V: float, since: float, shared: Shared
+    c: Constants,
+    x: State,
+    innovation: Innovation,
+    innovation_V: float,
+    since: float,
+    shared: Shared,
 ) -> ComponentUpdate:
     """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
 
@@ -127,25 +132,36 @@ def judge_component(
     weight = as_shown(x.error_V2 * shared.above, x.mismatch)
     share = evidence_share(c.fades, c.stays, c.shared, since)
     return component_update(
-        innovation_V, i.variance_V2, c.gate_square, i.explained_V2, weight, shared.below, share
+        innovation_V,
+        innovation.variance_V2,
+        c.gate_square,
+        innovation.explained_V2,
+        weight,
+        shared.below,
+        share,
     )
 
 
 @inline
 def contradicted_after(
-    c: Constants, x: State, i: Innovation, innovation_V: float, since: float
+    c: Constants, x: State, innovation: Innovation, innovation_V: float, since: float
 ) -> float:
     """SOC that the voltages say is missing, were the current off for all of the time ``since``."""
     drift = c.drift_soc * since
     return contradicted_step(
-        x.contradicted, innovation_V, i.slope_V, i.single_V2, drift, c.contradicted_share
+        x.contradicted,
+        innovation_V,
+        innovation.slope_V,
+        innovation.single_V2,
+        drift,
+        c.contradicted_share,
     )
 
 
 @inline
 def persistent_after(
-    c: Constants, x: State, i: Innovation, error_V2: float, mismatch: float, gain: float
+    c: Constants, x: State, innovation: Innovation, error_V2: float, mismatch: float, gain: float
 ) -> float:
     """SOC error by a persistent error of the model, after a voltage with a ``gain`` of the SOC."""
     error_V = persistent_V(c.persistent, error_V2, mismatch)
-    return persistent_step(gain, i.slope_V, x.persistent, error_V)
+    return persistent_step(gain, innovation.slope_V, x.persistent, error_V)

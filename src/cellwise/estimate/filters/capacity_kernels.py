@@ -315,7 +315,7 @@ def watched_resistances(
     noise: NoiseScalars,
     reading: CheckedReading,
     drop_V: float,
-    v: GateResult,
+    gate_result: GateResult,
     soc_variance: float,
 ) -> Free | None:
     """What moves with the load, R0 I + v1 as the model's, says what the resistances are.
@@ -325,10 +325,10 @@ def watched_resistances(
     if rules is None or free is None:
         return None
     r = free.resistances
-    if v.used and not reading.gap:
+    if gate_result.used and not reading.gap:
         white = noise.voltage_V * noise.voltage_V
         hold = reading.status & CURRENT_INVALID != 0 or soc_variance > rules.settled_variance
         r = watch_resistances(
-            r, rules.resistances, drop_V, v.innovation_V, white, reading.dt_s, hold
+            r, rules.resistances, drop_V, gate_result.innovation_V, white, reading.dt_s, hold
         )
     return Free(free.capacity, r)

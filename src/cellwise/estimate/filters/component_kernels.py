@@ -25,7 +25,7 @@ from cellwise.estimate.filters.covariance_kernels import (
 )
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
-from cellwise.estimate.filters.step_kernels import innovate, predict, say
+from cellwise.estimate.filters.step_kernels import innovate, predict, report
 from cellwise.estimate.filters.update_kernels import Predicted, update, without_voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
@@ -118,33 +118,38 @@ def narrow(x: State, k: Column, d: Column) -> None:
     put_record(x, P_AT, 1, corrected(old, k, d), True)
 
 
-class Seen(NamedTuple):
+class WeighedVoltage(NamedTuple):
     """What a component makes of a sample: how the voltage weighs, what it says against it."""
 
-    verdict: GateResult
+    gate_result: GateResult
     cost: float
 
 
 @inline
 def use_in_bank(
-    m: BankModel, a: State, state: EkfState, reading: CheckedReading, now: Predicted, i: Innovation
-) -> Seen:
+    m: BankModel,
+    a: State,
+    state: EkfState,
+    reading: CheckedReading,
+    now: Predicted,
+    innovation: Innovation,
+) -> WeighedVoltage:
     """A voltage to a component, if there is one that can be used."""
     noise, evidence_s = m.noise, now.evidence_s
-    innovation_V = reading.voltage_V - i.voltage_V
+    innovation_V = reading.voltage_V - innovation.voltage_V
     last, swings, frozen = watch_voltage(
         noise, state.watch, reading, innovation_V, now.point.r0_ohm
     )
     used = math.isfinite(innovation_V) and frozen == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
-        ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
+        ratio = innovation_V * innovation_V / innovation.variance_V2 * noise.per_gate2
         shared = repeated_evidence(
             m.constant, noise, evidence_s, reading.dt_s, reading.delayed_current_A
         )
         evidence_s = max(evidence_s, 0.0)
         innovation_V, inverse, cost = judge_component(
-            m.constant, a, i, innovation_V, evidence_s, shared
+            m.constant, a, innovation, innovation_V, evidence_s, shared
         )
     if evidence_s >= 0.0:
         evidence_s += reading.dt_s
@@ -153,11 +158,11 @@ def use_in_bank(
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
     # fmt: off
-    v = GateResult(
+    gate_result = GateResult(
         used, used, inverse, innovation_V, ratio, 0.0, a.mismatch, after, status
     )
     # fmt: on
-    return Seen(v, cost)
+    return WeighedVoltage(gate_result, cost)
 
 
 @part
@@ -166,15 +171,21 @@ def step(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
     now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
-    i = innovate(m.constant, m.tables, noise, m.sigma, reading, now)
+    innovation = innovate(m.constant, m.tables, noise, m.sigma, reading, now)
     if not (a.error_V2 > 0.0):
-        a.error_V2 = i.single_V2
-    used = use_in_bank(m, a, now.state, reading, now, i)
-    v = used.verdict
-    e = update(m.constant, noise, None, reading, now, i, v) if v.accepted else without_voltage(now)
-    after, info = say(i, v, e, reading.status | now.status | v.status)
+        a.error_V2 = innovation.single_V2
+    weighed = use_in_bank(m, a, now.state, reading, now, innovation)
+    gate_result = weighed.gate_result
+    estimate = (
+        update(m.constant, noise, None, reading, now, innovation, gate_result)
+        if gate_result.accepted
+        else without_voltage(now)
+    )
+    after, info = report(
+        innovation, gate_result, estimate, reading.status | now.status | gate_result.status
+    )
     put_record(a, 0, 1, after, True)
-    a.cost += used.cost
+    a.cost += weighed.cost
     out.voltage_V = info.voltage_V
     out.innovation_variance_V2 = info.innovation_variance_V2
     return info.status

@@ -73,29 +73,31 @@ class CountRules(NamedTuple):
 
 @inline
 def counted(
-    tables: CellTables, rules: CountRules, state: CoulombState, r: MeasuredSample
+    tables: CellTables, rules: CountRules, state: CoulombState, sample: MeasuredSample
 ) -> tuple[CoulombState, int]:
     """One interval counted: the new state and the status bits."""
     cell = tables.cell
     status = 0
-    current, variance = r.current_A, state.variance
+    current, variance = sample.current_A, state.variance
     if not math.isfinite(current):
         current = state.previous_A
         status |= CURRENT_INVALID
-    if r.gap:
+    if sample.gap:
         status |= SEQUENCE_GAP
         gap_A2 = current * current + state.previous_A * state.previous_A
-        variance += gap_variance(rules.gap_soc, cell.charge_As, gap_A2, r.dt_s)
-    elif r.dt_s <= 0.0:
+        variance += gap_variance(rules.gap_soc, cell.charge_As, gap_A2, sample.dt_s)
+    elif sample.dt_s <= 0.0:
         status |= DUPLICATE
     # Nobody knows what flowed in a gap.
-    soc = soc_step(cell, state.soc, 0.0 if r.gap else current, r.dt_s)
-    variance += rules.walk * rules.walk * r.dt_s
+    soc = soc_step(cell, state.soc, 0.0 if sample.gap else current, sample.dt_s)
+    variance += rules.walk * rules.walk * sample.dt_s
     if soc < 0.0 or soc > 1.0:
         soc = min(max(soc, 0.0), 1.0)
         status |= CLAMPED
-    resting = abs(r.current_A) * 3600.0 < REST_RATE * cell.charge_As
-    return CoulombState(soc, variance, current, state.rest_s + r.dt_s if resting else 0.0), status
+    resting = abs(sample.current_A) * 3600.0 < REST_RATE * cell.charge_As
+    return CoulombState(
+        soc, variance, current, state.rest_s + sample.dt_s if resting else 0.0
+    ), status
 
 
 @part
@@ -114,19 +116,19 @@ def soc_at(tables: CellTables, voltage_V: float, temperature_C: float) -> float:
 
 @kernel
 def gauge_step(
-    tables: CellTables, rules: CountRules, state: CoulombState, r: MeasuredSample
+    tables: CellTables, rules: CountRules, state: CoulombState, sample: MeasuredSample
 ) -> tuple[CoulombState, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
-    new, bits = counted(tables, rules, state, r)
+    new, bits = counted(tables, rules, state, sample)
     soc, variance, rest, rested = new.soc, new.variance, new.rest_s, False
-    if rest >= rules.rest_after_s and math.isfinite(r.voltage_V):
-        here = soc_at(tables, r.voltage_V, r.temperature_C)
-        point = look_up(tables, here, r.temperature_C)
+    if rest >= rules.rest_after_s and math.isfinite(sample.voltage_V):
+        here = soc_at(tables, sample.voltage_V, sample.temperature_C)
+        point = look_up(tables, here, sample.temperature_C)
         left = SHORT_REST_V * math.exp(-min(rest, 1e9) / RELAXED_S)
         off = math.sqrt(point.error_V**2 + point.m_V**2 + left * left)
         # Over a flat OCV every SOC of that voltage is as good.
-        wide = soc_at(tables, r.voltage_V + off, r.temperature_C)
-        narrow = soc_at(tables, r.voltage_V - off, r.temperature_C)
+        wide = soc_at(tables, sample.voltage_V + off, sample.temperature_C)
+        narrow = soc_at(tables, sample.voltage_V - off, sample.temperature_C)
         spread = max(0.5 * (wide - narrow), SMALLEST_STD)
         rested = spread * spread < variance or math.isinf(rest)
         if rested:
@@ -151,10 +153,10 @@ def gauge_rows(
     for k in range(log.dt_s.size):
         if math.isfinite(log.temperature_C[k]):
             temperature_C = log.temperature_C[k]
-        reading = MeasuredSample(
+        sample = MeasuredSample(
             log.current_A[k], log.voltage_V[k], temperature_C, log.dt_s[k], log.gap[k]
         )
-        state, _, bits = gauge_step(tables, rules, state, reading)
+        state, _, bits = gauge_step(tables, rules, state, sample)
         out[0, k] = state.soc
         out[1, k] = math.sqrt(state.variance)
         status[k] = bits
@@ -205,10 +207,10 @@ class RestOcv(FilterOfModel):
         InputError        dt_s negative or not finite; a state or a reading of another type
         """
         check_state(state, CoulombState, self.name)
-        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
+        sample = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         if temperature_C is None:
-            reading = reading._replace(temperature_C=self._default_C)
-        new, rested, bits = gauge_step(self._tables, self._rules, state, reading)
+            sample = sample._replace(temperature_C=self._default_C)
+        new, rested, bits = gauge_step(self._tables, self._rules, state, sample)
         return new, CoulombInfo(new.soc, math.sqrt(new.variance), rested, Status(bits))
 
     def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> Trace:

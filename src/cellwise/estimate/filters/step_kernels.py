@@ -163,23 +163,27 @@ def innovate(
 
 
 @inline
-def say(i: Innovation, v: GateResult, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
+def report(
+    innovation: Innovation, gate_result: GateResult, estimate: Estimate, status: int
+) -> tuple[EkfState, EkfInfo]:
     """SOC held within 0..1, and what there is to report."""
-    soc = e.x.soc
+    soc = estimate.x.soc
     if soc < SOC_LOW or soc > SOC_HIGH:
         soc = min(max(soc, SOC_LOW), SOC_HIGH)
         status |= CLAMPED
     # fmt: off
     state = EkfState(
-        with_soc(e.x, soc), e.p, v.rejections, v.mismatch, e.persistent, e.contradicted, e.drift,
-        v.watch,
+        with_soc(estimate.x, soc), estimate.p, gate_result.rejections, gate_result.mismatch,
+        estimate.persistent, estimate.contradicted, estimate.drift, gate_result.watch,
     )
     # fmt: on
-    known = e.p.ss + drift_variance(e.drift) + capacity_variance(e.free, e.drift.reach)
-    std = stated_deviation(known, v.mismatch, e.persistent, e.contradicted)
+    drift = estimate.drift
+    known = estimate.p.ss + drift_variance(drift) + capacity_variance(estimate.free, drift.reach)
+    std = stated_deviation(known, gate_result.mismatch, estimate.persistent, estimate.contradicted)
     # fmt: off
     info = EkfInfo(
-        soc, std, i.voltage_V, v.innovation_V, i.variance_V2, v.ratio, status
+        soc, std, innovation.voltage_V, gate_result.innovation_V, innovation.variance_V2,
+        gate_result.ratio, status,
     )
     # fmt: on
     return state, info
@@ -200,10 +204,16 @@ def filter_step(
     reading = read_sample(tables, noise, state.watch, start.temperature_C, sample)
     c = step_constants(tables.cell, noise, sample.dt_s)
     now = predict(c, tables, noise, sigma, rules, start, state, free, reading)
-    i = innovate(c, tables, noise, sigma, reading, now)
-    v = gate(c, noise, now.state, reading, now.evidence_s, now.point.r0_ohm, i)
-    e = update(c, noise, rules, reading, now, i, v) if v.accepted else without_voltage(now)
-    after, info = say(i, v, e, reading.status | now.status | v.status)
+    innovation = innovate(c, tables, noise, sigma, reading, now)
+    gate_result = gate(c, noise, now.state, reading, now.evidence_s, now.point.r0_ohm, innovation)
+    estimate = (
+        update(c, noise, rules, reading, now, innovation, gate_result)
+        if gate_result.accepted
+        else without_voltage(now)
+    )
+    after, info = report(
+        innovation, gate_result, estimate, reading.status | now.status | gate_result.status
+    )
     drop_V = now.point.r0_ohm * reading.delayed_current_A + now.x.v1_V
-    free = watched_resistances(rules, e.free, noise, reading, drop_V, v, now.p.ss)
+    free = watched_resistances(rules, estimate.free, noise, reading, drop_V, gate_result, now.p.ss)
     return after, free, info

@@ -81,30 +81,30 @@ def update(
     rules: FreeRules | None,
     reading: CheckedReading,
     now: Predicted,
-    i: Innovation,
-    v: GateResult,
+    innovation: Innovation,
+    gate_result: GateResult,
 ) -> Estimate:
     """After an accepted voltage."""
-    old, slope = now.state, i.slope_V
-    k = scaled(i.column, v.inverse)
-    x = moved(now.x, k, v.innovation_V)
-    p = corrected(now.p, k, i.column)
+    old, slope = now.state, innovation.slope_V
+    gain = scaled(innovation.column, gate_result.inverse)
+    x = moved(now.x, gain, gate_result.innovation_V)
+    p = corrected(now.p, gain, innovation.column)
     since = max(old.watch.evidence_s, 0.0)
-    contradicted = contradicted_after(c, old, i, v.innovation_V, since)
+    contradicted = contradicted_after(c, old, innovation, gate_result.innovation_V, since)
     # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
     if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
     error_V2 = slow_variance(noise, 0.0, now.point)
-    persistent = persistent_after(c, old, i, error_V2, v.mismatch, k.s)
+    persistent = persistent_after(c, old, innovation, error_V2, gate_result.mismatch, gain.s)
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
-    own_V = v.innovation_V + i.bias_V
-    informs = 0.0 if reading.status & CURRENT_INVALID else v.inverse
-    drift = drift_step(now.drift, i.of_offset_V, own_V, k.s, v.inverse)
+    own_V = gate_result.innovation_V + innovation.bias_V
+    informs = 0.0 if reading.status & CURRENT_INVALID else gate_result.inverse
+    drift = drift_step(now.drift, innovation.of_offset_V, own_V, gain.s, gate_result.inverse)
     free, drift = informed_capacity(
-        rules, now.free, drift, i.of_offset_V, slope, own_V, k.s, informs, now.p.ss
+        rules, now.free, drift, innovation.of_offset_V, slope, own_V, gain.s, informs, now.p.ss
     )
     bias_soc = drift.believed * drift.reach + capacity_soc(free)
-    x = with_soc(x, x.soc + (k.s * i.bias_V + (bias_soc - now.bias_soc)))
+    x = with_soc(x, x.soc + (gain.s * innovation.bias_V + (bias_soc - now.bias_soc)))
     return Estimate(x, p, persistent, contradicted, drift, free)

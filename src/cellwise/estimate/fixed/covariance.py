@@ -123,13 +123,13 @@ def tilt(x: State, p: Point, w: Slopes, counted_current_A: float) -> None:
 
 
 @unrolled_by_option
-def move(x: State, k: Column, innovation: float) -> None:
+def move(x: State, k: Column, innovation_V: float) -> None:
     """State + K innovation."""
     for i in CELL:
         if i in CARRIED:
-            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], k.row[i] * innovation)
+            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], k.row[i] * innovation_V)
         else:
-            x.state[i] = x.state[i] + (k.row[i] * innovation)
+            x.state[i] = x.state[i] + (k.row[i] * innovation_V)
     for i in (H,):
         x.state[i] = clip(x.state[i], -1.0, 1.0)
 

@@ -44,7 +44,7 @@ def watch_voltage(
     voltage: float,
     delayed_current_A: float,
     r0_ohm: float,
-    innovation: float,
+    innovation_V: float,
 ) -> int:
     """Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0."""
     now = repeats_after(
@@ -54,7 +54,7 @@ def watch_voltage(
         voltage,
         delayed_current_A,
         r0_ohm,
-        innovation,
+        innovation_V,
         c.frozen_V,
     )
     x.voltage_V = now.voltage_V
@@ -138,17 +138,19 @@ def dropped_by_offset(c: Constants, x: State, p: Point) -> float:
     return F(dropped_V)
 
 
-def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inverse: float) -> None:
+def ask_for_offset(
+    x: State, innovation: Innovation, innovation_V: float, gain: float, inverse: float
+) -> None:
     """What a voltage that has moved the state says of an offset, and where that moves the SOC."""
     before = x.believed * x.reach
-    own_V = innovation + i.bias_V
-    now = offset_after(x.score, x.information, i.of_offset_V, own_V, inverse)
-    x.reach = x.reach - (gain * i.of_offset_V)
+    own_V = innovation_V + innovation.bias_V
+    now = offset_after(x.score, x.information, innovation.of_offset_V, own_V, inverse)
+    x.reach = x.reach - (gain * innovation.of_offset_V)
     x.score = now.score
     x.information = now.information
     x.believed = now.believed
     x.unsure = now.unsure
-    more = (gain * i.bias_V) + ((x.believed * x.reach) - before)
+    more = (gain * innovation.bias_V) + ((x.believed * x.reach) - before)
     x.soc, x.soc_carry = add(x.soc, x.soc_carry, more)
 
 

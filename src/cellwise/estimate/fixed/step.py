@@ -67,33 +67,35 @@ def recover(c: Constants, x: State, p: Point, delayed_current_A: float) -> None:
         forget_offset(x)
 
 
-def contradict(c: Constants, x: State, i: Innovation, innovation: float, beyond: int) -> None:
+def contradict(
+    c: Constants, x: State, innovation: Innovation, innovation_V: float, beyond: int
+) -> None:
     """What the voltages say against the count. Beyond the model's data they confirm nothing."""
-    now = contradicted_after(c, x, i, innovation, steps_of_evidence(x))
+    now = contradicted_after(c, x, innovation, innovation_V, steps_of_evidence(x))
     confirms = beyond != U(0) and magnitude(now) < magnitude(x.contradicted)
     if size_within(now, 1.0) and not confirms:  # a number
         x.contradicted = now
 
 
-def persist(c: Constants, x: State, p: Point, i: Innovation, gain: float) -> None:
+def persist(c: Constants, x: State, p: Point, innovation: Innovation, gain: float) -> None:
     """SOC error by a persistent error of the model, after a voltage with a gain."""
-    now = persistent_after(c, x, i, p.noise_V2 - c.fixed_V2, x.mismatch, gain)
+    now = persistent_after(c, x, innovation, p.noise_V2 - c.fixed_V2, x.mismatch, gain)
     if not size_within(now, 1.0):
         now = 1.0
     x.persistent = now
 
 
 def fuse(
-    c: Constants, x: State, p: Point, i: Innovation, innovation: float, inverse: float
+    c: Constants, x: State, p: Point, innovation: Innovation, innovation_V: float, inverse: float
 ) -> None:
     """State and covariance after a voltage, by one over the variance that weighs it."""
-    k = scaled(i.column, inverse)
-    move(x, k, innovation)
-    narrow(x, k, i.column)
+    gain = scaled(innovation.column, inverse)
+    move(x, gain, innovation_V)
+    narrow(x, gain, innovation.column)
     if WIDE:
-        persist(c, x, p, i, k.s)
+        persist(c, x, p, innovation, gain.s)
     if OFFSET:
-        ask_for_offset(x, i, innovation, k.s, inverse)
+        ask_for_offset(x, innovation, innovation_V, gain.s, inverse)
 
 
 def begin_evidence(x: State) -> None:
@@ -107,8 +109,8 @@ def weigh(
     x: State,
     p: Point,
     reading: Reading,
-    i: Innovation,
-    innovation: float,
+    innovation: Innovation,
+    innovation_V: float,
     beyond: int,
 ) -> int:
     """A voltage that is looked at: rejected, or used.
@@ -118,27 +120,34 @@ def weigh(
     status = U(0)
     if BANK and x.in_bank == COMPONENT:
         if not (x.error_V2 > 0.0):
-            x.error_V2 = i.single_V2
+            x.error_V2 = innovation.single_V2
         shared = shared_by(c, x, reading.delayed_current_A)
         if reading.news == INTERVAL or shared.above <= shared.below:
-            used = judge_component(c, x, i, innovation, steps_of_evidence(x), shared)
+            used = judge_component(c, x, innovation, innovation_V, steps_of_evidence(x), shared)
             x.cost = x.cost + used.cost
-            fuse(c, x, p, i, used.off_V, used.inverse)
+            fuse(c, x, p, innovation, used.off_V, used.inverse)
         begin_evidence(x)
     else:
         lately = c.lately if reading.news == INTERVAL else 0.0
-        v = judge(c, x, i, innovation, lately, U(1))
-        status = v.status
-        x.rejections = v.rejections
-        x.mismatch = v.mismatch
-        if v.accepted:
+        verdict = judge(c, x, innovation, innovation_V, lately, U(1))
+        status = verdict.status
+        x.rejections = verdict.rejections
+        x.mismatch = verdict.mismatch
+        if verdict.accepted:
             shared = shared_by(c, x, reading.delayed_current_A)
             if reading.news == INTERVAL or shared.above <= shared.below:
-                fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, shared))
+                fuse(
+                    c,
+                    x,
+                    p,
+                    innovation,
+                    innovation_V,
+                    weight_of(innovation, verdict.shown, verdict.unit, shared),
+                )
                 if WIDE:
-                    contradict(c, x, i, innovation, beyond)
+                    contradict(c, x, innovation, innovation_V, beyond)
             begin_evidence(x)
-        elif v.recovers:
+        elif verdict.recovers:
             recover(c, x, p, reading.delayed_current_A)
     return status
 
@@ -159,25 +168,25 @@ def correct(
         away = x.no_voltage
         if reading.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
-    i = innovate(c, x, p, w, reading)
-    out.voltage_V = i.voltage_V
-    out.innovation_variance_V2 = i.variance_V2
+    innovation = innovate(c, x, p, w, reading)
+    out.voltage_V = innovation.voltage_V
+    out.innovation_variance_V2 = innovation.variance_V2
     out.innovation_V = 0.0
     if not positive_within(voltage, c.voltage_low_V, c.voltage_high_V):
         status = U(VOLTAGE_INVALID | out_of_range(voltage))
     else:
-        innovation = voltage - i.voltage_V
-        out.innovation_V = innovation
+        innovation_V = voltage - innovation.voltage_V
+        out.innovation_V = innovation_V
         if reading.news != REPEATED:  # a repeated sample is no evidence
             if WIDE:
                 watch_current(c, x, voltage)
                 status = watch_voltage(
-                    c, x, voltage, reading.delayed_current_A, p.r0_ohm, innovation
+                    c, x, voltage, reading.delayed_current_A, p.r0_ohm, innovation_V
                 )
                 if status == U(0):
                     away = U(0)
             if status == U(0):
-                status = weigh(c, x, p, reading, i, innovation, beyond)
+                status = weigh(c, x, p, reading, innovation, innovation_V, beyond)
     if WIDE:
         if reading.news != REPEATED:
             x.no_voltage = away
