@@ -53,14 +53,14 @@ def test_logs_that_say_nothing_give_the_prior_back(silent):
 
 
 def test_the_whole_resistance_is_that_of_all_branches_and_has_its_derivative(known):
-    lay, theta = known[0].layout, known[0].theta
+    layout, theta = known[0].layout, known[0].theta
     soc = np.array([0.1, 0.47, 0.9])
-    whole, slopes = whole_resistance(lay, theta, soc)
-    doubled = whole_resistance(lay, theta + np.log(2.0) * lay.resistances(), soc)[0]
+    whole, slopes = whole_resistance(layout, theta, soc)
+    doubled = whole_resistance(layout, theta + np.log(2.0) * layout.resistances(), soc)[0]
     np.testing.assert_allclose(doubled - whole, np.log(2.0), atol=1e-12)
-    for k in np.flatnonzero(lay.resistances()):
-        step = 1e-6 * np.eye(lay.size)[k]
-        there = whole_resistance(lay, theta + step, soc)[0]
+    for k in np.flatnonzero(layout.resistances()):
+        step = 1e-6 * np.eye(layout.size)[k]
+        there = whole_resistance(layout, theta + step, soc)[0]
         np.testing.assert_allclose((there - whole) / 1e-6, slopes[:, k], atol=1e-5)
 
 

@@ -28,13 +28,13 @@ def driven(name, used):
 
 def settled(name, log, taken_Ah):
     """Fit of a drive over a capacity that is taken, its problem, the capacity by the profile."""
-    lay = layout_of(3, name == "lfp")
-    settings = FitSettings(hysteresis=lay.hysteresis, ln_capacity_std=0.1)
+    layout = layout_of(3, name == "lfp")
+    settings = FitSettings(hysteresis=layout.hysteresis, ln_capacity_std=0.1)
     items = (FitLog(log, 1.0, soc0_std=0.004),)
     cells = CLASSES[name]
-    prior = prior_of(cells, lay, items, taken_Ah, GRID, 25.0, settings)
-    fit = fit_logs(items, cells.base(), prior, lay, capacity_Ah=taken_Ah, iterations=20)
-    problem = Problem(items, cells.base(), prior, lay, taken_Ah, GRID, 25.0, 800)
+    prior = prior_of(cells, layout, items, taken_Ah, GRID, 25.0, settings)
+    fit = fit_logs(items, cells.base(), prior, layout, capacity_Ah=taken_Ah, iterations=20)
+    problem = Problem(items, cells.base(), prior, layout, taken_Ah, GRID, 25.0, 800)
     return fit, problem, open_capacity(problem, fit)
 
 

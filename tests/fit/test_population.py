@@ -63,9 +63,9 @@ def test_a_resistance_is_larger_in_the_cold_and_a_larger_cell_has_less():
     mean, _ = cells.table("r0", AT_SOC, np.array([0.0, 25.0]))
     cold, warm = mean.reshape(2, -1)
     assert np.all(cold > warm)
-    prior, lay = prior_for([FitLog(log_of(pulse_current(1), TRUTH)[0], 1.0)], cells)
+    prior, layout = prior_for([FitLog(log_of(pulse_current(1), TRUTH)[0], 1.0)], cells)
     np.testing.assert_allclose(
-        prior.mean[lay.r0 : lay.r0 + lay.block], warm - np.log(CAPACITY_AH), atol=1e-12
+        prior.mean[layout.r0 : layout.r0 + layout.block], warm - np.log(CAPACITY_AH), atol=1e-12
     )
 
 
@@ -115,11 +115,11 @@ def test_a_common_factor_of_the_resistances_adds_to_what_each_may_be():
     log, soc = log_of(pulse_current(levels=1), Truth())
     logs = [FitLog(log, soc[0], soc0_std=0.01)]
     cells = cells_like(1.0)
-    each, lay = prior_for(logs, cells, FitSettings(branches=2))
+    each, layout = prior_for(logs, cells, FitSettings(branches=2))
     common, _ = prior_for(logs, cells, FitSettings(branches=2, ln_resistance_std=0.5))
     free = np.ix_(each.free, each.free)
-    u = lay.resistances()[each.free]  # of R0 and two branches
-    assert u.sum() == 3 * lay.block
+    u = layout.resistances()[each.free]  # of R0 and two branches
+    assert u.sum() == 3 * layout.block
     np.testing.assert_allclose(
         np.linalg.inv(common.precision[free]),
         np.linalg.inv(each.precision[free]) + 0.25 * np.outer(u, u),
@@ -129,12 +129,12 @@ def test_a_common_factor_of_the_resistances_adds_to_what_each_may_be():
 
 def test_what_a_fit_does_not_have_is_not_free():
     log = FitLog(log_of(pulse_current(1), TRUTH)[0], 1.0)
-    prior, lay = prior_for([log], cells_like(), FitSettings(branches=2))
-    held = [lay.skew, lay.asinh, lay.capacity, lay.start, lay.sample, lay.past]
+    prior, layout = prior_for([log], cells_like(), FitSettings(branches=2))
+    held = [layout.skew, layout.asinh, layout.capacity, layout.start, layout.sample, layout.past]
     assert not prior.free[held].any()
     loose = replace(log, soc0_std=0.1, sample_std=0.1, past_V=0.02)
     settings = FitSettings(branches=2, ln_capacity_std=0.05, skew=True, charge_transfer=True)
-    prior, lay = prior_for([loose], cells_like(), settings)
+    prior, layout = prior_for([loose], cells_like(), settings)
     assert prior.free[held].all()
     expected = [1.0, 1.0, 0.05, 0.1, 0.1, 0.004]
     np.testing.assert_allclose(np.diag(prior.precision)[held], np.power(expected, -2.0))

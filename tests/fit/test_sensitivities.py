@@ -53,8 +53,8 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
         theta[layout.gamma] = np.log(60.0)
     theta[layout.activation] = 2.3
     theta[layout.asinh] = 1.7
-    own = slice(layout.own, layout.capacity)
-    theta[own] = 0.5 * rng.standard_normal(theta[own].size)
+    own_activation = slice(layout.own_activation, layout.capacity)
+    theta[own_activation] = 0.5 * rng.standard_normal(theta[own_activation].size)
     theta[layout.capacity], theta[layout.sample], theta[layout.start] = 0.06, -0.02, 0.03
     theta[layout.past : layout.bend] = (0.004, -0.01, 0.02)[: layout.branches]
     theta[layout.bend :] = 0.01, -0.004

@@ -42,11 +42,11 @@ def table(result: FitResult, at: int, soc) -> np.ndarray:
 
 def errors(result: FitResult, truth: Truth, soc) -> dict[str, float]:
     """Largest relative error of each table over the given SOC."""
-    lay = result.layout
-    found = {"r0": np.abs(table(result, lay.r0, soc) / truth.r0(soc) - 1.0).max()}
+    layout = result.layout
+    found = {"r0": np.abs(table(result, layout.r0, soc) / truth.r0(soc) - 1.0).max()}
     for j, (r, tau) in enumerate(truth.pairs):
-        found[f"r{j + 1}"] = np.abs(table(result, lay.r(j), soc) / r(soc) - 1.0).max()
-        found[f"tau{j + 1}"] = np.abs(table(result, lay.tau(j), soc) / tau(soc) - 1.0).max()
+        found[f"r{j + 1}"] = np.abs(table(result, layout.r(j), soc) / r(soc) - 1.0).max()
+        found[f"tau{j + 1}"] = np.abs(table(result, layout.tau(j), soc) / tau(soc) - 1.0).max()
     return found
 
 
@@ -89,10 +89,10 @@ def test_a_capacity_is_found_beside_the_tables():
     pulses, drive = two_logs(CURVED, noise=5e-4)
     cells = cells_like(1.2)
     settings = FitSettings(branches=2, ln_capacity_std=0.2)
-    lay = layout_of(2, False, 1, 2)
-    prior = prior_of(cells, lay, (pulses, drive), 1.1 * CAPACITY_AH, HOME, 25.0, settings)
-    result = fit_logs([pulses, drive], cells.base(), prior, lay, capacity_Ah=1.1 * CAPACITY_AH)
-    std = float(result.theta_std[lay.capacity])
+    layout = layout_of(2, False, 1, 2)
+    prior = prior_of(cells, layout, (pulses, drive), 1.1 * CAPACITY_AH, HOME, 25.0, settings)
+    result = fit_logs([pulses, drive], cells.base(), prior, layout, capacity_Ah=1.1 * CAPACITY_AH)
+    std = float(result.theta_std[layout.capacity])
     assert np.log(result.fitted_Ah / CAPACITY_AH) == pytest.approx(0.0, abs=2.5 * std)
     assert std < 0.05
 
@@ -111,10 +111,12 @@ def test_three_branches_come_back():
 def test_hysteresis_comes_back():
     truth = Truth(m_V=0.025, gamma=120.0)
     result = fit(truth, noise=5e-4)
-    lay = result.layout
-    m = spline_values(spline_rows(INSIDE, TABLE_KNOTS), result.theta[lay.m : lay.m + lay.knots])
+    layout = result.layout
+    m = spline_values(
+        spline_rows(INSIDE, TABLE_KNOTS), result.theta[layout.m : layout.m + layout.knots]
+    )
     np.testing.assert_allclose(m, 0.025, rtol=0.15)
-    assert np.exp(result.theta[lay.gamma]) == pytest.approx(120.0, rel=0.2)
+    assert np.exp(result.theta[layout.gamma]) == pytest.approx(120.0, rel=0.2)
     assert errors(result, truth, INSIDE)["r0"] < 0.02
 
 

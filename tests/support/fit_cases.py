@@ -120,17 +120,17 @@ def cells_like(factor=1.0, gap_V=0.0, ocv_V=CURVE_V, tau_s=(6.0, 90.0, 1500.0)) 
 def prior_for(logs, cells, settings=None, grid_C=(25.0,)) -> tuple[Prior, Layout]:
     """The prior of a fit of some logs and its layout."""
     settings = settings or FitSettings(branches=2)
-    lay = layout_of(settings.branches, settings.hysteresis, len(grid_C), len(logs))
+    layout = layout_of(settings.branches, settings.hysteresis, len(grid_C), len(logs))
     grid = np.array(grid_C)
-    return prior_of(cells, lay, tuple(logs), CAPACITY_AH, grid, 25.0, settings), lay
+    return prior_of(cells, layout, tuple(logs), CAPACITY_AH, grid, 25.0, settings), layout
 
 
 def fit_of(logs, cells=None, settings=None, grid_C=(25.0,)) -> FitResult:
     """The fit of some logs with a class as prior."""
     cells = cells or cells_like()
-    prior, lay = prior_for(logs, cells, settings, grid_C)
+    prior, layout = prior_for(logs, cells, settings, grid_C)
     return fit_logs(
-        logs, cells.base(), prior, lay, capacity_Ah=CAPACITY_AH, grid_C=np.array(grid_C)
+        logs, cells.base(), prior, layout, capacity_Ah=CAPACITY_AH, grid_C=np.array(grid_C)
     )
 
 

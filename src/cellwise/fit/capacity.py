@@ -98,9 +98,9 @@ def open_capacity(problem: Problem, fit: FitResult, tried: Tried = TRIED) -> Ope
         theta[place] = value
         theta = problem.inside(theta)
         for _ in range(tried.rounds):
-            problem.judge_sizes(theta)
+            problem.update_row_sizes(theta)
             theta, *_ = problem.minimise(theta, tried.iterations)
-        problem.judge_sizes(theta)
+        problem.update_row_sizes(theta)
         cost = problem.normal_equations(theta).cost + problem.ln_sizes()
         found = -TRIALS.trust * cost
         found -= 0.5 * precision * (value - mean) ** 2

@@ -89,14 +89,14 @@ def find_beginning(
     total = float(np.logaddexp.reduce(weights))
     share = np.exp(weights - total)
     if share[0] > 0.5:
-        away = np.array([soc - full for soc, _, _ in found])
-        std = float(np.sqrt(TRIALS.full_std**2 + share[1:] @ away[1:] ** 2))
+        from_full = np.array([soc - full for soc, _, _ in found])
+        std = float(np.sqrt(TRIALS.full_std**2 + share[1:] @ from_full[1:] ** 2))
         return Beginning(full, std, float(share[0]), total)
     best = int(np.argmax(share))
     soc = np.array([s for s, _, _ in found])
-    own = np.array([std for _, std, _ in found])
+    stds = np.array([std for _, std, _ in found])
     mean = float(share @ soc)
-    std = float(np.sqrt(share @ (own**2 + (soc - mean) ** 2)))
+    std = float(np.sqrt(share @ (stds**2 + (soc - mean) ** 2)))
     return Beginning(float(soc[best]), std, float(share[0]), total)
 
 
@@ -108,14 +108,16 @@ def _try(
     temperature_C: float,
 ) -> tuple[float, float, float]:
     """Start, deviation and evidence of one log from one start."""
-    lay = layout_of(3, cells.name == "lfp")
+    layout = layout_of(3, cells.name == "lfp")
     grid = np.array([temperature_C])
-    settings = FitSettings(hysteresis=lay.hysteresis, ln_capacity_std=ln_capacity_std)
-    prior = prior_of(cells, lay, (item,), capacity_Ah, grid, temperature_C, settings)
-    problem = Problem([item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, ROWS.most)
+    settings = FitSettings(hysteresis=layout.hysteresis, ln_capacity_std=ln_capacity_std)
+    prior = prior_of(cells, layout, (item,), capacity_Ah, grid, temperature_C, settings)
+    problem = Problem(
+        [item], cells.base(), prior, layout, capacity_Ah, grid, temperature_C, ROWS.most
+    )
     theta, _, normal, _ = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
-    std = float(np.sqrt(problem.prior.covariance(normal.matrix)[lay.start, lay.start]))
-    return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
+    std = float(np.sqrt(problem.prior.covariance(normal.matrix)[layout.start, layout.start]))
+    return item.soc0 + float(theta[layout.start]), std, problem.log_evidence(normal)
 
 
 def thinned(log: CellLog, compare: BoolArray | None = None) -> CellLog:

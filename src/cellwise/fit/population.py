@@ -133,8 +133,8 @@ class CellClass:
         alike += SPREAD.rest * np.exp(-apart / SPREAD.rest_soc)
         found = np.outer(size, size) * alike
         if n > 3:
-            away = np.array([np.interp(soc, SOC, row) for row in self.ocv_V - mean])
-            found += away.T @ away / (n - 1) * (1.0 + 1.0 / n)
+            deviations = np.array([np.interp(soc, SOC, row) for row in self.ocv_V - mean])
+            found += deviations.T @ deviations / (n - 1) * (1.0 + 1.0 / n)
         return np.asarray(found)
 
     def table(
@@ -304,7 +304,7 @@ def _ln_table(model: CellModel, name: str, warm_C: float = HOME_C) -> FloatArray
 
 def prior_of(
     cells: CellPrior,
-    lay: Layout,
+    layout: Layout,
     logs: tuple[FitLog, ...],
     capacity_Ah: float,
     grid_C: FloatArray,
@@ -312,9 +312,9 @@ def prior_of(
     settings: FitSettings,
 ) -> Prior:
     """The prior of all unknowns of a fit."""
-    mean, std = np.zeros(lay.size), np.zeros(lay.size)
-    precision = np.zeros((lay.size, lay.size))
-    free = np.zeros(lay.size, dtype=np.bool_)
+    mean, std = np.zeros(layout.size), np.zeros(layout.size)
+    precision = np.zeros((layout.size, layout.size))
+    free = np.zeros(layout.size, dtype=np.bool_)
 
     def block(at: int, covariance: FloatArray) -> None:
         part = slice(at, at + len(covariance))
@@ -324,36 +324,38 @@ def prior_of(
     block(0, cells.ocv_covariance(greville(OCV_KNOTS)))
     at_soc = greville(TABLE_KNOTS)
     several = grid_C.size > 1
-    for name, at in zip(TABLES, lay.tables(), strict=False):
+    for name, at in zip(TABLES, layout.tables(), strict=False):
         row, covariance = cells.table(name, at_soc, grid_C)
-        mean[at : at + lay.block] = row - (np.log(capacity_Ah) if name.startswith("r") else 0.0)
-        block(at, covariance + NUGGET_LN**2 * np.eye(lay.block))
-    if lay.hysteresis:
-        level, covariance = cells.gap(at_soc, lay.temperatures)
-        mean[lay.m : lay.gamma] = level
-        block(lay.m, covariance + NUGGET_V**2 * np.eye(lay.block))
-        mean[lay.gamma], std[lay.gamma] = np.log(50.0), 1.0
+        mean[at : at + layout.block] = row - (np.log(capacity_Ah) if name.startswith("r") else 0.0)
+        block(at, covariance + NUGGET_LN**2 * np.eye(layout.block))
+    if layout.hysteresis:
+        level, covariance = cells.gap(at_soc, layout.temperatures)
+        mean[layout.m : layout.gamma] = level
+        block(layout.m, covariance + NUGGET_V**2 * np.eye(layout.block))
+        mean[layout.gamma], std[layout.gamma] = np.log(50.0), 1.0
     if not several:
         activation = np.array(cells.activation_K) / ACTIVATION_UNIT_K
-        mean[lay.activation], std[lay.activation] = activation
-        std[lay.own : lay.capacity] = settings.own_activation_std_K / ACTIVATION_UNIT_K
-    std[lay.skew] = 1.0 if settings.skew else 0.0
+        mean[layout.activation], std[layout.activation] = activation
+        std[layout.own_activation : layout.capacity] = (
+            settings.own_activation_std_K / ACTIVATION_UNIT_K
+        )
+    std[layout.skew] = 1.0 if settings.skew else 0.0
     if settings.charge_transfer:
-        mean[lay.asinh], std[lay.asinh] = settings.asinh_per_V / ASINH_UNIT_PER_V, 1.0
-    std[lay.capacity] = settings.ln_capacity_std
+        mean[layout.asinh], std[layout.asinh] = settings.asinh_per_V / ASINH_UNIT_PER_V, 1.0
+    std[layout.capacity] = settings.ln_capacity_std
     for k, item in enumerate(logs):
-        mean[lay.sample + k], std[lay.sample + k] = item.ln_sample, item.sample_std
-        std[lay.start + k] = item.soc0_std
-        first = lay.past + k * lay.branches
+        mean[layout.sample + k], std[layout.sample + k] = item.ln_sample, item.sample_std
+        std[layout.start + k] = item.soc0_std
+        first = layout.past + k * layout.branches
         std[first] = 0.2 * item.past_V
-        std[first + 1 : first + lay.branches] = item.past_V
+        std[first + 1 : first + layout.branches] = item.past_V
         if item.low_rate:
-            at = lay.bend + k * BENDS
+            at = layout.bend + k * BENDS
             std[at : at + BENDS] = SPREAD.bend_soc / np.arange(1, BENDS + 1)
     known = np.flatnonzero(std)
     precision[known, known], free[known] = 1.0 / std[known] ** 2, True
     if settings.ln_resistance_std > 0.0:
-        held = precision @ lay.resistances()
-        stiffness = settings.ln_resistance_std**-2 + lay.resistances() @ held
+        held = precision @ layout.resistances()
+        stiffness = settings.ln_resistance_std**-2 + layout.resistances() @ held
         precision -= np.outer(held, held) / stiffness  # Sherman and Morrison
     return Prior(mean, precision, free)

@@ -20,17 +20,17 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     OCV and resistances are parted into modes of the prior's own covariance, so that a coordinate is
     1 where the logs said nothing; what the logs left is the covariance of these coordinates.
     """
-    lay = result.layout
+    layout = result.layout
     grid = np.linspace(0.0, 1.0, POINTS)
-    ocv = np.zeros((POINTS, lay.size))
-    ocv[:, : lay.knots_ocv] = spline_matrix(grid, OCV_KNOTS)
-    ln_r = whole_resistance(lay, result.theta, grid)[1]
+    ocv = np.zeros((POINTS, layout.size))
+    ocv[:, : layout.knots_ocv] = spline_matrix(grid, OCV_KNOTS)
+    ln_r = whole_resistance(layout, result.theta, grid)[1]
     before = prior.covariance()
-    held = lay.capacity
+    held = layout.capacity
     names, maps, rows = [], [], []
     if prior.free[held]:
         size = float(np.sqrt(before[held, held]))
-        unit = np.zeros(lay.size)
+        unit = np.zeros(layout.size)
         unit[held] = 1.0 / size
         names.append(CAPACITY)
         maps.append((size, np.zeros(POINTS), np.zeros(POINTS)))
@@ -57,18 +57,18 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
 
 
 def whole_resistance(
-    lay: Layout, theta: FloatArray, soc: FloatArray
+    layout: Layout, theta: FloatArray, soc: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Logarithm of the whole resistance, mean over temperatures; its derivative, (soc, size)."""
     splines = spline_matrix(soc, TABLE_KNOTS)
-    logarithm, slopes = np.zeros(soc.size), np.zeros((soc.size, lay.size))
-    places = [lay.r0, *(lay.r(j) for j in range(lay.branches))]
-    for k in range(lay.temperatures):
-        at = [p + k * lay.knots for p in places]
-        values = [np.exp(splines @ theta[a : a + lay.knots]) for a in at]
+    logarithm, slopes = np.zeros(soc.size), np.zeros((soc.size, layout.size))
+    places = [layout.r0, *(layout.r(j) for j in range(layout.branches))]
+    for k in range(layout.temperatures):
+        at = [p + k * layout.knots for p in places]
+        values = [np.exp(splines @ theta[a : a + layout.knots]) for a in at]
         whole = np.sum(values, axis=0)
-        logarithm += np.log(whole) / lay.temperatures
+        logarithm += np.log(whole) / layout.temperatures
         for a, value in zip(at, values, strict=True):
-            share = (value / whole)[:, None] * splines / lay.temperatures
-            slopes[:, a : a + lay.knots] += share
+            share = (value / whole)[:, None] * splines / layout.temperatures
+            slopes[:, a : a + layout.knots] += share
     return logarithm, slopes

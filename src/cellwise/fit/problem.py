@@ -58,14 +58,15 @@ class ErrorEvidence(NamedTuple):
 EVIDENCE = ErrorEvidence()
 
 
-class Exposed(NamedTuple):
+class RowErrors(NamedTuple):
     """What may move a log's compared rows, (m,) each [V].
 
-    ``drop`` : their polarisation; ``steep`` : what an error of the SOC does; ``end`` : what more of
-    it near empty does; ``bends`` : (m, BENDS) by so much of each bend of a low-rate test.
+    ``polarisation_V`` : their polarisation; ``steep`` : what an error of the SOC does; ``end`` :
+    what more of it near empty does; ``bends`` : (m, BENDS) by so much of each bend of a low-rate
+    test.
     """
 
-    drop: FloatArray
+    polarisation_V: FloatArray
     steep: FloatArray
     end: FloatArray
     bends: FloatArray
@@ -115,71 +116,74 @@ class Problem:
             low[at] = min(0.0, max(-log.soc.min(), -log.soc[0]))
             high[at] = max(0.0, 1.0 - log.soc.max())
         self.prior = replace(prior, low=low, high=high)
-        self.numbers = np.array([evidence_of(log) for log in self.logs])
+        self.numbers = np.array([independent_errors(log) for log in self.logs])
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
         self.ends_V: tuple[FloatArray, ...] = ()
         self.bends_V: tuple[FloatArray, ...] = ()
-        self.judge_sizes(self.inside(prior.mean))
+        self.update_row_sizes(self.inside(prior.mean))
 
-    def judge_sizes(self, theta: FloatArray) -> None:
+    def update_row_sizes(self, theta: FloatArray) -> None:
         """Standard deviation of every compared row [V].
 
         And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
         """
-        found = [self.exposed(k, theta) for k in range(len(self.logs))]
+        found = [self.row_errors(k, theta) for k in range(len(self.logs))]
         self.ends_V = tuple(
-            np.sqrt(self.level_V**2 + (self.share * x.drop) ** 2 + x.end**2) for x in found
+            np.sqrt(self.level_V**2 + (self.share * x.polarisation_V) ** 2 + x.end**2)
+            for x in found
         )
         self.sizes_V = tuple(
             np.hypot(size, x.steep) for size, x in zip(self.ends_V, found, strict=True)
         )
         self.bends_V = tuple(x.bends for x in found)
 
-    def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
+    def update_error_sizes(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
         """Take the size of the residuals, and how many independent errors every log holds."""
-        exposed = [self.exposed(k, theta) for k in range(len(self.logs))]
-        drops = [x.drop for x in exposed]
-        steep = [np.hypot(x.steep, x.end) for x in exposed]
-        squares = [np.concatenate(x) for x in (residuals, drops, steep)]
+        row_errors = [self.row_errors(k, theta) for k in range(len(self.logs))]
+        polarisations_V = [x.polarisation_V for x in row_errors]
+        steep = [np.hypot(x.steep, x.end) for x in row_errors]
+        squares = [np.concatenate(x) for x in (residuals, polarisations_V, steep)]
         weight = np.concatenate(
             [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
         )
         self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
-        self.judge_sizes(theta)
+        self.update_row_sizes(theta)
 
-    def exposed(self, index: int, theta: FloatArray) -> Exposed:
+    def row_errors(self, index: int, theta: FloatArray) -> RowErrors:
         """What may move a log's compared rows."""
-        log, lay = self.logs[index], self.layouts[index]
-        own = theta[self.places[index]]
+        log, layout = self.logs[index], self.layouts[index]
+        unknowns = theta[self.places[index]]
         rows = log.moved(
-            self.base, float(own[lay.start]), float(own[lay.capacity] + own[lay.sample])
+            self.base,
+            float(unknowns[layout.start]),
+            float(unknowns[layout.capacity] + unknowns[layout.sample]),
         )
-        ocv = rows.base_V + spline_values(rows.ocv, own[: lay.knots_ocv])
-        slope = self._slope(rows, own[: lay.knots_ocv])
-        soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[rows.evaluate], 0.0, 1.0)
+        ocv = rows.base_V + spline_values(rows.ocv, unknowns[: layout.knots_ocv])
+        slope = self._slope(rows, unknowns[: layout.knots_ocv])
+        soc = np.clip(log.soc[0] + unknowns[layout.start] - rows.used_soc[rows.evaluate], 0.0, 1.0)
         low_rate = log.item.low_rate  # it defines both ends
         end = (0.0 if low_rate else EVIDENCE.empty_soc) * np.exp(-soc / EVIDENCE.near_soc)
         bends = bends_of(soc) * slope[:, None]
-        return Exposed(ocv - log.measured_V, EVIDENCE.soc * slope, end * slope, bends)
+        return RowErrors(ocv - log.measured_V, EVIDENCE.soc * slope, end * slope, bends)
 
     def evaluate(
         self, index: int, theta: FloatArray, *, slopes: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Residual (measured minus model) and Jacobian of one log's compared rows and places."""
-        log, lay, own = self.logs[index], self.layouts[index], theta[self.places[index]]
-        ln_capacity = float(own[lay.capacity] + own[lay.sample])
-        rows = log.moved(self.base, float(own[lay.start]), ln_capacity)
-        jacobian = np.empty((log.compared if slopes else 0, lay.size))
+        log, layout, unknowns = self.logs[index], self.layouts[index], theta[self.places[index]]
+        ln_capacity = float(unknowns[layout.capacity] + unknowns[layout.sample])
+        rows = log.moved(self.base, float(unknowns[layout.start]), ln_capacity)
+        jacobian = np.empty((log.compared if slopes else 0, layout.size))
         voltage = np.empty(log.compared)
         skewed = log.item.skewed
-        cell = scalars_of(lay, own, self.charge_As, skewed=skewed)
-        voltage_and_jacobian(rows, cell, lay, log.item.h0, skewed, own, jacobian, voltage)
+        cell = scalars_of(layout, unknowns, self.charge_As, skewed=skewed)
+        voltage_and_jacobian(rows, cell, layout, log.item.h0, skewed, unknowns, jacobian, voltage)
         residual = log.measured_V - voltage
         if log.item.low_rate:
-            residual -= self.bends_V[index] @ own[lay.bend :]
+            residual -= self.bends_V[index] @ unknowns[layout.bend :]
             if slopes:
-                jacobian[:, lay.bend :] = self.bends_V[index]
+                jacobian[:, layout.bend :] = self.bends_V[index]
         return residual, jacobian
 
     @staticmethod
@@ -193,7 +197,9 @@ class Problem:
         each = range(len(self.logs))
         return tuple(self.evaluate(i, theta, slopes=False)[0] for i in each)
 
-    def _one(self, index: int, theta: FloatArray) -> tuple[float, FloatArray, Products, FloatArray]:
+    def _normal_of_log(
+        self, index: int, theta: FloatArray
+    ) -> tuple[float, FloatArray, Products, FloatArray]:
         """Cost, gradient, matrix and residual of one log."""
         r, jacobian = self.evaluate(index, theta)
         size, number = self.sizes_V[index], self.numbers[index]
@@ -204,13 +210,15 @@ class Problem:
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
         return cost, gradient, products_of(jacobian, self.places[index]), r
 
-    def _each(self, theta: FloatArray) -> list[tuple[float, FloatArray, Products, FloatArray]]:
+    def _normal_of_each_log(
+        self, theta: FloatArray
+    ) -> list[tuple[float, FloatArray, Products, FloatArray]]:
         """The same of every log; a thread costs more than a single one."""
         every = range(len(self.logs))
         if len(self.logs) == 1:
-            return [self._one(0, theta)]
+            return [self._normal_of_log(0, theta)]
         with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
-            return list(pool.map(lambda i: self._one(i, theta), every))
+            return list(pool.map(lambda i: self._normal_of_log(i, theta), every))
 
     def normal_of_logs(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
         """What the logs say, and the residuals of each; the logs run side by side."""
@@ -218,7 +226,9 @@ class Problem:
         gradient = np.zeros(theta.size)
         cost = 0.0
         residuals = []
-        for places, (part, g, products, r) in zip(self.places, self._each(theta), strict=True):
+        for places, (part, g, products, r) in zip(
+            self.places, self._normal_of_each_log(theta), strict=True
+        ):
             cost += part
             gradient[places] += g
             for moving, block in products:
@@ -259,11 +269,13 @@ class Problem:
 
     def inside(self, theta: FloatArray) -> FloatArray:
         """Project on the bounds: positive sizes, time constants in order at every knot."""
-        lay = self.layout
+        layout = self.layout
         theta = self.prior.inside(theta)
-        for j in range(1, lay.branches):
+        for j in range(1, layout.branches):
             # B-splines are positive and sum to one: ordered coefficients give ordered tables.
-            faster, slower = (theta[at : at + lay.block] for at in (lay.tau(j - 1), lay.tau(j)))
+            faster, slower = (
+                theta[at : at + layout.block] for at in (layout.tau(j - 1), layout.tau(j))
+            )
             np.maximum(slower, faster + math.log(LEAST_RATIO), out=slower)
         return theta
 
@@ -278,7 +290,7 @@ def products_of(jacobian: FloatArray, places: IndexArray) -> Products:
     return found
 
 
-def evidence_of(log: PreparedLog) -> float:
+def independent_errors(log: PreparedLog) -> float:
     """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC."""
     shown = log.compared_soc
     # What shifts a low-rate test shifts it over twice as much alike.
@@ -289,17 +301,17 @@ def evidence_of(log: PreparedLog) -> float:
 
 
 def error_sizes(
-    residual_V: FloatArray, drop_V: FloatArray, steep_V: FloatArray, weight: FloatArray
+    residual_V: FloatArray, polarisation_V: FloatArray, steep_V: FloatArray, weight: FloatArray
 ) -> tuple[float, float]:
     """Level [V] and share of the polarisation that make the residuals most probable.
 
     Normal errors of variance level^2 + (share drop)^2 + steep^2, large ones cut off.
     """
-    square, drop2, steep2 = residual_V**2, drop_V**2, steep_V**2
+    square, polarisation2, steep2 = residual_V**2, polarisation_V**2, steep_V**2
 
     def cost(logarithms: FloatArray) -> float:
         level2, share2 = np.exp(2.0 * logarithms)
-        variance = level2 + share2 * drop2 + steep2
+        variance = level2 + share2 * polarisation2 + steep2
         ratio = np.minimum(square / variance, EVIDENCE.robust**2)
         return float(weight @ (np.log(variance) + ratio))
 

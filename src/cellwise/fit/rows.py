@@ -124,12 +124,12 @@ class PreparedLog:
         inverse = self.rows.inverse_K[self.rows.evaluate]
         return np.asarray(1.0 / (inverse + 1.0 / kelvin) - ZERO_CELSIUS_K)
 
-    def moved(self, base: BaseOcv, away: float, ln_capacity: float) -> FittedRows:
-        """The rows of a log that begins ``away``, of a cell of another capacity."""
-        if away == 0.0 and ln_capacity == 0.0:
+    def moved(self, base: BaseOcv, start: float, ln_capacity: float) -> FittedRows:
+        """The rows of a log that begins by ``start`` elsewhere, of a cell of another capacity."""
+        if start == 0.0 and ln_capacity == 0.0:
             return self.rows
         used = (self.soc[0] - self.soc) * math.exp(-ln_capacity)
-        soc = self.soc[0] + away - used
+        soc = self.soc[0] + start - used
         return _at_soc(self.rows, soc, self.depth_soc, used, base)
 
 

@@ -97,7 +97,7 @@ def _value(
 def voltage_and_jacobian(
     log: FittedRows,
     cell: CellScalars,
-    lay: Layout,
+    layout: Layout,
     h0: float,
     skewed: bool,
     theta: FloatArray,
@@ -109,12 +109,12 @@ def voltage_and_jacobian(
     ``cell`` are the scalars of ``theta``, see `scalars_of`; without rows in ``jacobian`` none is
     computed.
     """
-    knots, branches, hysteresis = lay.knots, lay.branches, lay.hysteresis
-    block = lay.block
+    knots, branches, hysteresis = layout.knots, layout.branches, layout.hysteresis
+    block = layout.block
     wanted = jacobian.shape[0] > 0
     v = np.zeros(3)
     for j in range(branches):
-        v[j] = theta[lay.past + j]
+        v[j] = theta[layout.past + j]
     r, tau, left, turned = np.zeros((4, branches))
     # Of a run: what remains of what was before, and the sources by ln R and ln tau.
     remains, of_r, of_tau = np.zeros((3, branches))
@@ -134,17 +134,19 @@ def voltage_and_jacobian(
     for run in range(log.ends.size):
         end = log.ends[run]
         x = log.inverse_K[end]
-        by_own = x * ACTIVATION_UNIT_K
+        by_own_activation = x * ACTIVATION_UNIT_K
         share = log.share[end]
         # Where the active coefficients of this run's temperature stand within a block.
         f = log.row[end] * knots + log.tables.first[run]
         for j in range(branches):
-            o_r = lay.r0 + block * (1 + 2 * j)
-            own = lay.own + 1 + 2 * j
+            o_r = layout.r0 + block * (1 + 2 * j)
+            own_activation = layout.own_activation + 1 + 2 * j
             ln_r = _value(theta, o_r + f, log.tables.values, run, share, knots)
-            r[j] = exponential(ln_r + cell.activation_K * x + theta[own] * by_own)
+            r[j] = exponential(
+                ln_r + cell.activation_K * x + theta[own_activation] * by_own_activation
+            )
             ln_tau = _value(theta, o_r + block + f, log.tables.values, run, share, knots)
-            tau[j] = exponential(ln_tau + theta[own + 1] * by_own)
+            tau[j] = exponential(ln_tau + theta[own_activation + 1] * by_own_activation)
             remains[j] = 1.0
             of_r[j] = 0.0
             of_tau[j] = 0.0
@@ -195,15 +197,15 @@ def voltage_and_jacobian(
         first = end + 1
         if wanted:
             for j in range(branches):
-                o_r = lay.r0 + block * (1 + 2 * j)
+                o_r = layout.r0 + block * (1 + 2 * j)
                 by_soc = of_r[j] * _value(theta, o_r + f, log.tables.slopes, run, share, knots)
                 by_soc += of_tau[j] * _value(
                     theta, o_r + block + f, log.tables.slopes, run, share, knots
                 )
                 sens_start[j] = remains[j] * sens_start[j] + by_soc
                 sens_capacity[j] = remains[j] * sens_capacity[j] + by_soc * log.used_soc[end]
-                sens_act[j] = remains[j] * sens_act[j] + of_r[j] * by_own
-                sens_tau_act[j] = remains[j] * sens_tau_act[j] + of_tau[j] * by_own
+                sens_act[j] = remains[j] * sens_act[j] + of_r[j] * by_own_activation
+                sens_tau_act[j] = remains[j] * sens_tau_act[j] + of_tau[j] * by_own_activation
                 left_of_past[j] *= remains[j]
                 if left_of_past[j] < NOTHING_V:
                     left_of_past[j] = 0.0
@@ -223,13 +225,15 @@ def voltage_and_jacobian(
                         sens[2 * j + 1, f + knots + q] += share * basis * of_tau[j]
         if not log.evaluate[end]:
             continue
-        ln_r0 = _value(theta, lay.r0 + f, log.tables.values, run, share, knots)
-        r0 = exponential(ln_r0 + cell.activation_K * x + theta[lay.own] * by_own)
+        ln_r0 = _value(theta, layout.r0 + f, log.tables.values, run, share, knots)
+        r0 = exponential(
+            ln_r0 + cell.activation_K * x + theta[layout.own_activation] * by_own_activation
+        )
         of = log.ocv.first[out]
         ocv = log.base_V[out] + _value(theta, of, log.ocv.values, out, 0.0, 0)
         m = 0.0
         if hysteresis:
-            m = _value(theta, lay.m + f, log.tables.values, run, share, knots)
+            m = _value(theta, layout.m + f, log.tables.values, run, share, knots)
         drop = polarisation(r0, delayed_A, v[0], v[1] + v[2])
         voltage_V[out] = loaded_voltage(ocv, m, h, drop)
         if wanted:
@@ -239,45 +243,45 @@ def voltage_and_jacobian(
                 row[of + q] = log.ocv.values[out, q]
                 by_r0 = -log.tables.values[run, q] * delayed_A * r0
                 by_m = log.tables.values[run, q] * h
-                row[lay.r0 + f + q] = (1.0 - share) * by_r0
+                row[layout.r0 + f + q] = (1.0 - share) * by_r0
                 if hysteresis:
-                    row[lay.m + f + q] = (1.0 - share) * by_m
+                    row[layout.m + f + q] = (1.0 - share) * by_m
                 if share != 0.0:
-                    row[lay.r0 + f + knots + q] = share * by_r0
+                    row[layout.r0 + f + knots + q] = share * by_r0
                     if hysteresis:
-                        row[lay.m + f + knots + q] = share * by_m
-            act = -delayed_A * r0 * by_own
-            row[lay.own] = act
+                        row[layout.m + f + knots + q] = share * by_m
+            act = -delayed_A * r0 * by_own_activation
+            row[layout.own_activation] = act
             skw = -r0 * slope
             for j in range(branches):
-                o_r = lay.r0 + block * (1 + 2 * j)
+                o_r = layout.r0 + block * (1 + 2 * j)
                 for q in range(block):
                     row[o_r + q] = -sens[2 * j, q] * kept[j]
                     row[o_r + block + q] = -sens[2 * j + 1, q] * kept[j]
                 act -= sens_act[j]
-                row[lay.own + 1 + 2 * j] = -sens_act[j]
-                row[lay.own + 2 + 2 * j] = -sens_tau_act[j]
+                row[layout.own_activation + 1 + 2 * j] = -sens_act[j]
+                row[layout.own_activation + 2 + 2 * j] = -sens_tau_act[j]
                 skw -= sens_skew[j]
             if hysteresis:
-                row[lay.gamma] = m * h_gamma
+                row[layout.gamma] = m * h_gamma
                 skw += m * h_skew
-            row[lay.activation] = act
-            row[lay.skew] = skw
-            row[lay.asinh] = -sens_asinh
+            row[layout.activation] = act
+            row[layout.skew] = skw
+            row[layout.asinh] = -sens_asinh
             along = log.base_slope_V[out] + _value(theta, of, log.ocv.slopes, out, 0.0, 0)
             along -= (
-                delayed_A * r0 * _value(theta, lay.r0 + f, log.tables.slopes, run, share, knots)
+                delayed_A * r0 * _value(theta, layout.r0 + f, log.tables.slopes, run, share, knots)
             )
             if hysteresis:
-                along += h * _value(theta, lay.m + f, log.tables.slopes, run, share, knots)
+                along += h * _value(theta, layout.m + f, log.tables.slopes, run, share, knots)
             start, capacity = along, along * log.used_soc[end]
             for j in range(branches):
                 start -= sens_start[j]
                 capacity -= sens_capacity[j]
-                row[lay.past + j] = -left_of_past[j]
-            row[lay.start] = start
-            row[lay.capacity] = capacity
-            row[lay.sample] = capacity
+                row[layout.past + j] = -left_of_past[j]
+            row[layout.start] = start
+            row[layout.capacity] = capacity
+            row[layout.sample] = capacity
         out += 1
 
 

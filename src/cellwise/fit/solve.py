@@ -61,9 +61,9 @@ class FitResult:
 
     def temperature_dependence(self) -> TemperatureDependence:
         """Fitted activations, the common one and what each table has beside it."""
-        lay = self.layout
-        own = self.theta[lay.own : lay.capacity] * ACTIVATION_UNIT_K
-        beside = {f"{name}_K": float(e) for name, e in zip(BRANCH_ACTIVATIONS, own, strict=False)}
+        layout = self.layout
+        own_K = self.theta[layout.own_activation : layout.capacity] * ACTIVATION_UNIT_K
+        beside = {f"{name}_K": float(e) for name, e in zip(BRANCH_ACTIVATIONS, own_K, strict=False)}
         return TemperatureDependence(self.activation_K, self.reference_C, **beside)
 
     @property
@@ -92,8 +92,8 @@ class FitResult:
 
     def soc(self, log: int) -> FloatArray:
         """SOC of the compared rows of a log."""
-        lay = self.layout
-        ln_capacity = float(self.theta[lay.capacity] + self.theta[lay.sample + log])
+        layout = self.layout
+        ln_capacity = float(self.theta[layout.capacity] + self.theta[layout.sample + log])
         known = self.logs[log]
         used = (known.soc[0] - known.compared_soc) * np.exp(-ln_capacity)
         return np.asarray(self.start(log)[0] - used)
@@ -108,15 +108,15 @@ class FitResult:
 
         Beyond its ends they go on straight for half a step. With the logs in which it was seen.
         """
-        lay = self.layout
-        if lay.temperatures == 1:
+        layout = self.layout
+        if layout.temperatures == 1:
             return self
         x = inverse_K(self.grid_C, self.reference_C)
         low = int(np.clip(np.searchsorted(self.grid_C, temperature_C) - 1, 0, x.size - 2))
         here = float(inverse_K(temperature_C, self.reference_C))
         way = float(np.clip((here - x[low]) / (x[low + 1] - x[low]), -BEYOND, 1.0 + BEYOND))
 
-        places = [lay.part(low + k, 1) for k in (0, 1)]
+        places = [layout.part(low + k, 1) for k in (0, 1)]
         cold, warm = (self.theta[part] for part in places)
         nearer = places[round(min(max(way, 0.0), 1.0))]
         nearest = low + round(min(max(way, 0.0), 1.0))
@@ -127,7 +127,7 @@ class FitResult:
         ]
         return replace(
             self,
-            layout=lay.of_temperatures(1, lay.logs),
+            layout=layout.of_temperatures(1, layout.logs),
             theta=cold + way * (warm - cold),
             covariance=self.covariance[np.ix_(nearer, nearer)],
             rmse_V=tuple(self.rmse_V[k] for k in seen),
@@ -178,7 +178,7 @@ def fit_logs(
     for _ in range(PASSES):
         theta, done, _, residuals = problem.minimise(theta, iterations // PASSES)
         steps += done
-        problem.judge(theta, residuals)
+        problem.update_error_sizes(theta, residuals)
     of_logs, residuals = problem.normal_of_logs(theta)
     normal = problem.prior.with_data(theta, *of_logs)
     return FitResult(

@@ -82,8 +82,8 @@ class Prior:
 
     def cost(self, theta: FloatArray) -> float:
         """What a point costs: -ln of its density, up to a constant."""
-        away = theta - self.mean
-        return 0.5 * float(away @ self.precision @ away)
+        deviation = theta - self.mean
+        return 0.5 * float(deviation @ self.precision @ deviation)
 
     def with_data(
         self, theta: FloatArray, cost: float, gradient: FloatArray, matrix: FloatArray

@@ -55,7 +55,7 @@ class Layout(NamedTuple):
     The OCV's correction (knots_ocv, from 0); ``r0``: ln R0, then ln R and ln tau of each branch
     (temperatures x knots each); ``m`` (temperatures x knots) and ``gamma`` (a logarithm) where
     there is a hysteresis; one number each: ``activation`` [K / 1000], ``skew`` [s / 10], ``asinh``
-    [10 / V]; ``own``: the activation that each table of logarithms has beside the common one
+    [10 / V]; ``own_activation``: what each table of logarithms has beside the common one
     [K / 1000]; ``capacity``: ln of the capacity over what was taken; of every log ``sample``: ln of
     the capacity that its cell has over the others', ``start``: by how much SOC it begins elsewhere
     than was taken, ``past``: what the branches hold at its first row (branches each) [V], ``bend``:
@@ -75,7 +75,7 @@ class Layout(NamedTuple):
     activation: int
     skew: int
     asinh: int
-    own: int
+    own_activation: int
     capacity: int
     sample: int
     start: int
@@ -134,17 +134,17 @@ def layout_of(branches: int, hysteresis: bool, temperatures: int = 1, logs: int 
     block = temperatures * knots
     m = knots_ocv + block * (1 + 2 * branches)
     activation = m + (block + 1 if hysteresis else 0)
-    own = activation + 3
-    capacity = own + 1 + 2 * branches
+    own_activation = activation + 3
+    capacity = own_activation + 1 + 2 * branches
     sample = capacity + 1
     start = sample + logs
     past = start + logs
     bend = past + branches * logs
     return Layout(
         knots_ocv, knots, branches, hysteresis, temperatures, logs, block, r0=knots_ocv, m=m,
-        gamma=m + block, activation=activation, skew=activation + 1, asinh=activation + 2, own=own,
-        capacity=capacity, sample=sample, start=start, past=past, bend=bend,
-        size=bend + BENDS * logs,
+        gamma=m + block, activation=activation, skew=activation + 1, asinh=activation + 2,
+        own_activation=own_activation, capacity=capacity, sample=sample, start=start, past=past,
+        bend=bend, size=bend + BENDS * logs,
     )  # fmt: skip
 
 
@@ -154,23 +154,23 @@ def bends_of(soc: FloatArray) -> FloatArray:
     return np.asarray(np.sin(np.pi * waves * np.clip(soc, 0.0, 1.0)[:, None]))
 
 
-def bounds_of(lay: Layout, charge_As: float) -> tuple[FloatArray, FloatArray]:
+def bounds_of(layout: Layout, charge_As: float) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest value of every unknown; a log's start is bounded by what it moves."""
-    low, high = np.full(lay.size, -np.inf), np.full(lay.size, np.inf)
+    low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
 
     def within(first: int, stop: int, least: float, most: float) -> None:
         low[first:stop], high[first:stop] = least, most
 
     largest_ohm = LARGEST_DROP_V * 3600.0 / charge_As
-    for k, at in enumerate(lay.tables()):
+    for k, at in enumerate(layout.tables()):
         sizes = TAU_LIMITS_S if k and k % 2 == 0 else (LEAST_OHM, largest_ohm)
-        within(at, at + lay.block, *np.log(sizes))
-    if lay.hysteresis:
-        within(lay.m, lay.gamma, 0.0, 0.5)
-    within(lay.activation, lay.skew, -2.0, 15.0)
-    within(lay.skew, lay.asinh, 0.0, np.inf)
-    within(lay.asinh, lay.own, 0.0, 20.0)
-    within(lay.capacity, lay.start, *LN_CAPACITY_LIMITS)
+        within(at, at + layout.block, *np.log(sizes))
+    if layout.hysteresis:
+        within(layout.m, layout.gamma, 0.0, 0.5)
+    within(layout.activation, layout.skew, -2.0, 15.0)
+    within(layout.skew, layout.asinh, 0.0, np.inf)
+    within(layout.asinh, layout.own_activation, 0.0, 20.0)
+    within(layout.capacity, layout.start, *LN_CAPACITY_LIMITS)
     return low, high
 
 

@@ -166,7 +166,7 @@ def _fit(model: CellModel, item: FitLog) -> _Fitted:
     """The most probable of the fits of each size of the model's error, with its capacity open."""
     grid = _temperatures(model, item)
     hysteresis = any(isinstance(e, Hysteresis) for e in model.effects)
-    lay = layout_of(3, hysteresis, int(grid.size), 1)
+    layout = layout_of(3, hysteresis, int(grid.size), 1)
     settings = FitSettings(
         hysteresis=hysteresis,
         ln_capacity_std=AGED.ln_capacity,
@@ -176,18 +176,18 @@ def _fit(model: CellModel, item: FitLog) -> _Fitted:
 
     def fit(prior: Prior, theta: FloatArray | None) -> FitResult:
         return fit_logs(
-            (item,), base, prior, lay, capacity_Ah=model.capacity_Ah, reference_C=float(grid[0]),
+            (item,), base, prior, layout, capacity_Ah=model.capacity_Ah, reference_C=float(grid[0]),
             grid_C=grid, theta=theta, most_rows=FITTED.rows, iterations=FITTED.iterations,
         )  # fmt: skip
 
     fits: list[tuple[Prior, FitResult]] = []
     for error_scale in AGED.error_scales:
         cells = ModelPrior(model, error_scale)
-        prior = prior_of(cells, lay, (item,), model.capacity_Ah, grid, float(grid[0]), settings)
+        prior = prior_of(cells, layout, (item,), model.capacity_Ah, grid, float(grid[0]), settings)
         fits.append((prior, fit(prior, fits[-1][1].theta if fits else None)))
     prior, found = max(fits, key=lambda one: one[1].log_evidence)
     problem = Problem(
-        (item,), base, prior, lay, model.capacity_Ah, grid, float(grid[0]), FITTED.rows
+        (item,), base, prior, layout, model.capacity_Ah, grid, float(grid[0]), FITTED.rows
     )
     return _aged(at_open_capacity(problem, found, fit, _tried(found)), prior.mean)
 
@@ -199,14 +199,14 @@ def _tried(found: FitResult) -> Tried:
 
 def _aged(result: FitResult, new: FloatArray) -> _Fitted:
     """What became of the capacity, and of the whole resistance over the SOC that was seen."""
-    lay, soc = result.layout, np.clip(result.soc(0), 0.0, 1.0)
-    whole, slopes = whole_resistance(lay, result.theta, soc)
+    layout, soc = result.layout, np.clip(result.soc(0), 0.0, 1.0)
+    whole, slopes = whole_resistance(layout, result.theta, soc)
     slope = slopes.mean(axis=0)
-    ln_scale = float(np.mean(whole - whole_resistance(lay, new, soc)[0]))
+    ln_scale = float(np.mean(whole - whole_resistance(layout, new, soc)[0]))
     std = math.sqrt(float(slope @ result.covariance @ slope))
     return _Fitted(
-        np.array([result.theta[lay.capacity], ln_scale]),
-        np.array([result.theta_std[lay.capacity], std]),
+        np.array([result.theta[layout.capacity], ln_scale]),
+        np.array([result.theta_std[layout.capacity], std]),
         result.start(0)[0],
         float(np.ptp(soc)),
     )

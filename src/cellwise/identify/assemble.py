@@ -97,17 +97,17 @@ def temperatures_of(result: FitResult) -> FloatArray:
 
 def fitted_tables(result: FitResult) -> ModelTables:
     """The fitted tables of one temperature on the grid."""
-    lay, theta = result.layout, result.theta
-    correction = spline_values(spline_rows(SOC_GRID, OCV_KNOTS), theta[: lay.knots_ocv])
-    tau2 = _table(result, lay.tau(1))
+    layout, theta = result.layout, result.theta
+    correction = spline_values(spline_rows(SOC_GRID, OCV_KNOTS), theta[: layout.knots_ocv])
+    tau2 = _table(result, layout.tau(1))
     # In order at the temperatures of the grid; carried on beyond them they might cross.
-    tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
+    tau1 = np.minimum(_table(result, layout.tau(0)), tau2 / LEAST_RATIO)
     return ModelTables(
         ocv_V=monotone(result.base.at_soc(SOC_GRID)[0] + correction),
-        r0_ohm=_table(result, lay.r0),
-        r1_ohm=_table(result, lay.r(0)),
+        r0_ohm=_table(result, layout.r0),
+        r1_ohm=_table(result, layout.r(0)),
         tau1_s=tau1,
-        r2_ohm=_table(result, lay.r(1)),
+        r2_ohm=_table(result, layout.r(1)),
         tau2_s=tau2,
     )
 
@@ -122,20 +122,20 @@ def fitted_effects(
     result: FitResult, rows: Sequence[FitResult], skewed: bool, hot: bool
 ) -> tuple[Effect, ...]:
     """Effects that were fitted; see :func:`fitted_model`."""
-    lay = rows[0].layout
+    layout = rows[0].layout
     found: list[Effect] = []
-    if lay.branches == 3:
+    if layout.branches == 3:
         found.append(
             SlowDiffusion(
-                np.array([_table(row, lay.r(2)) for row in rows]),
-                np.array([_table(row, lay.tau(2)) for row in rows]),
+                np.array([_table(row, layout.r(2)) for row in rows]),
+                np.array([_table(row, layout.tau(2)) for row in rows]),
             )
         )
-    if lay.hysteresis:
+    if layout.hysteresis:
         knots = spline_rows(SOC_GRID, TABLE_KNOTS)
-        m = [spline_values(knots, row.theta[lay.m : lay.m + lay.knots]) for row in rows]
+        m = [spline_values(knots, row.theta[layout.m : layout.m + layout.knots]) for row in rows]
         if float(np.max(m)) > KEPT.m_V:
-            found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))
+            found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[layout.gamma]))))
     if hot and result.layout.temperatures == 1:
         found.append(result.temperature_dependence())
     if result.asinh_per_V > 0.0:
@@ -171,13 +171,16 @@ def table_summary(result: FitResult) -> dict[str, Any]:
     Those of resistances, time constants and gamma are shares, of OCV and hysteresis volts.
     ``standard_errors`` has them at every knot.
     """
-    lay, std = result.layout, result.theta_std
+    layout, std = result.layout, result.theta_std
     at = {True: greville(OCV_KNOTS), False: greville(TABLE_KNOTS)}
-    where = {"ocv_V": (0, lay.knots_ocv), "r0_ohm": (lay.r0, lay.knots)}
-    for j in range(lay.branches):
-        where |= {f"r{j + 1}_ohm": (lay.r(j), lay.knots), f"tau{j + 1}_s": (lay.tau(j), lay.knots)}
-    if lay.hysteresis:
-        where |= {"m_V": (lay.m, lay.knots), "gamma": (lay.gamma, 1)}
+    where = {"ocv_V": (0, layout.knots_ocv), "r0_ohm": (layout.r0, layout.knots)}
+    for j in range(layout.branches):
+        where |= {
+            f"r{j + 1}_ohm": (layout.r(j), layout.knots),
+            f"tau{j + 1}_s": (layout.tau(j), layout.knots),
+        }
+    if layout.hysteresis:
+        where |= {"m_V": (layout.m, layout.knots), "gamma": (layout.gamma, 1)}
     return {
         "method": "whole-log least squares, cubic B-splines over SOC",
         "logs": [p.item.log.name for p in result.logs],

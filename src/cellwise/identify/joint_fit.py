@@ -92,14 +92,14 @@ class JointLogs:
 
         Where fits are compared, in ``quick`` steps, with fewer rows.
         """
-        lay, items = self._layout(settings, len(logs)), tuple(logs)
-        prior = self._prior(settings, lay, items)
+        layout, items = self._layout(settings, len(logs)), tuple(logs)
+        prior = self._prior(settings, layout, items)
         theta = None
         if common is not None:
             theta = prior.mean.copy()
-            theta[: lay.sample] = common[: lay.sample]
+            theta[: layout.sample] = common[: layout.sample]
         return fit_logs(
-            items, self.cells.base(), prior, lay, capacity_Ah=self.capacity_Ah,
+            items, self.cells.base(), prior, layout, capacity_Ah=self.capacity_Ah,
             reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
             most_rows=QUICK_ROWS if quick else None, iterations=quick or 40,
         )  # fmt: skip
@@ -108,16 +108,16 @@ class JointLogs:
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
     ) -> FitResult:
         """A fit at the capacity of the profile of its likelihood, where no test has shown it."""
-        lay, items = result.layout, tuple(logs)
+        layout, items = result.layout, tuple(logs)
         if settings.ln_capacity_std < TRIED.measured:
             return result
-        base, prior = self.cells.base(), self._prior(settings, lay, items)
-        problem = Problem(items, base, prior, lay, self.capacity_Ah, self.grid_C,
+        base, prior = self.cells.base(), self._prior(settings, layout, items)
+        problem = Problem(items, base, prior, layout, self.capacity_Ah, self.grid_C,
                           self.reference_C, QUICK_ROWS)  # fmt: skip
 
         def again(held: Prior, theta: FloatArray) -> FitResult:
             return fit_logs(
-                items, base, held, lay, capacity_Ah=self.capacity_Ah,
+                items, base, held, layout, capacity_Ah=self.capacity_Ah,
                 reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
             )  # fmt: skip
 
@@ -127,20 +127,20 @@ class JointLogs:
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
     ) -> list[tuple[PreparedLog, FloatArray]]:
         """What a fit leaves of logs that it has not seen [V]."""
-        lay, items = self._layout(settings, len(logs)), tuple(logs)
-        prior = self._prior(settings, lay, items)
-        problem = Problem(items, self.cells.base(), prior, lay, self.capacity_Ah, self.grid_C,
+        layout, items = self._layout(settings, len(logs)), tuple(logs)
+        prior = self._prior(settings, layout, items)
+        problem = Problem(items, self.cells.base(), prior, layout, self.capacity_Ah, self.grid_C,
                           self.reference_C, QUICK_ROWS)  # fmt: skip
         theta = prior.mean.copy()
-        theta[: lay.sample] = result.theta[: lay.sample]
+        theta[: layout.sample] = result.theta[: layout.sample]
         return list(zip(problem.logs, problem.residuals(theta), strict=True))
 
     def _layout(self, settings: FitSettings, logs: int) -> Layout:
         return layout_of(settings.branches, settings.hysteresis, int(self.grid_C.size), logs)
 
-    def _prior(self, settings: FitSettings, lay: Layout, logs: tuple[FitLog, ...]) -> Prior:
+    def _prior(self, settings: FitSettings, layout: Layout, logs: tuple[FitLog, ...]) -> Prior:
         return prior_of(
-            self.cells, lay, logs, self.capacity_Ah, self.grid_C, self.reference_C, settings
+            self.cells, layout, logs, self.capacity_Ah, self.grid_C, self.reference_C, settings
         )
 
     def model_of(self, result: FitResult, effects: Sequence[Effect] = ()) -> CellModel:

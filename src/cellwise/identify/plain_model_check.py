@@ -24,7 +24,7 @@ from cellwise.cell.posterior import POINTS
 from cellwise.errors import InputError
 from cellwise.fit.model_error import ResidualLog
 from cellwise.fit.population import HOME_C, SPREAD
-from cellwise.fit.problem import evidence_of
+from cellwise.fit.problem import independent_errors
 from cellwise.fit.rows import NO_SURFACE, BaseOcv, FitLog, inverse_K, prepare_log
 from cellwise.fit.splines import SOC_GRID as SOC
 from cellwise.fit.splines import TABLE_KNOTS
@@ -201,7 +201,7 @@ def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _Com
     matrix = np.hstack([_hats(soc[shown], _ocv_nodes()), *(-drop[shown] for drop in drops)])
     level_V, slope_V = base.at_soc(soc[shown])
     size_V = np.hypot(PLAIN.size_V, PLAIN.off_soc * slope_V)
-    weight = evidence_of(known) / known.compared / size_V**2
+    weight = independent_errors(known) / known.compared / size_V**2
     row = np.searchsorted(item.log.time_s, known.time_s)
     return _ComparedRows(matrix, known.measured_V - level_V, weight, row)
 
