@@ -103,7 +103,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
 
 /* CW-002. Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                        const cellwise_slopes *w, const cellwise_reading *reading, float voltage, uint32_t beyond,
+                        const cellwise_slopes *slopes, const cellwise_reading *reading, float voltage, uint32_t beyond,
                         cellwise_output *out)
 {
     uint32_t status = 0u;
@@ -112,7 +112,7 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
         away = away + 1u;
     }
     cellwise_innovation innovation;
-    innovate(c, x, p, w, reading, &innovation);
+    innovate(c, x, p, slopes, reading, &innovation);
     out->voltage_V = innovation.voltage_V;
     out->innovation_variance_V2 = innovation.variance_V2;
     out->innovation_V = 0.0f;

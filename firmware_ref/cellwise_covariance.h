@@ -151,13 +151,13 @@ static void forget_hysteresis(cellwise_state *x)
 }
 
 /* A SOC that is off drives the branches by the resistances' slopes. */
-static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float counted_current_A)
+static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *slopes, float counted_current_A)
 {
-    const float f1 = (w->rise1 * p->gain1) * counted_current_A;
+    const float f1 = (slopes->rise1 * p->gain1) * counted_current_A;
     const float after1 = x->s1 + (f1 * x->ss);
-    const float f2 = (w->rise2 * p->gain2) * counted_current_A;
+    const float f2 = (slopes->rise2 * p->gain2) * counted_current_A;
     const float after2 = x->s2 + (f2 * x->ss);
-    const float f3 = (w->rise3 * p->gain3) * counted_current_A;
+    const float f3 = (slopes->rise3 * p->gain3) * counted_current_A;
     const float after3 = x->s3 + (f3 * x->ss);
     x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, after1);
     x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, after2);

@@ -133,7 +133,7 @@ static void ask_for_offset(cellwise_state *x, const cellwise_innovation *innovat
 
 /* Predicted voltage, and the variances of what is measured about it. */
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
-                     const cellwise_slopes *w, const cellwise_reading *reading, cellwise_innovation *innovation)
+                     const cellwise_slopes *slopes, const cellwise_reading *reading, cellwise_innovation *innovation)
 {
     const float drop = p->r0_ohm * reading->delayed_current_A;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
@@ -142,20 +142,20 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
         single_variance(c, p->noise_V2, reading->delayed_current_A, polarisation_V, reading->unmeasured_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, reading->delayed_current_A, polarisation_V);
     innovation->single_V2 = innovation->single_V2 + (beyond_V * beyond_V);
-    column_of(x, w->slope_V, p->m_V, &innovation->column);
-    innovation->explained_V2 = explained(&innovation->column, w->slope_V, p->m_V);
-    innovation->explained_V2 = bent_variance(innovation->explained_V2, w->bend_V);
+    column_of(x, slopes->slope_V, p->m_V, &innovation->column);
+    innovation->explained_V2 = explained(&innovation->column, slopes->slope_V, p->m_V);
+    innovation->explained_V2 = bent_variance(innovation->explained_V2, slopes->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->single_V2;
     innovation->of_offset_V = 0.0f;
     innovation->bias_V = 0.0f;
     /* What is believed of an offset has moved the drop, too; what is not known of it may have. */
     const float dropped_V = dropped_by_offset(c, x, p);
-    innovation->of_offset_V = (w->slope_V * x->reach) + dropped_V;
+    innovation->of_offset_V = (slopes->slope_V * x->reach) + dropped_V;
     innovation->bias_V = x->believed * innovation->of_offset_V;
     innovation->voltage_V = innovation->voltage_V + (x->believed * dropped_V);
     innovation->variance_V2 = innovation->variance_V2 +
         ((innovation->of_offset_V * innovation->of_offset_V) * x->unsure);
-    innovation->slope_V = w->slope_V;
+    innovation->slope_V = slopes->slope_V;
 }
 
 #endif

@@ -219,8 +219,8 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 }
 
 /* One interval of constant current. */
-static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
-                    float counted_current_A, float unmeasured_A2)
+static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                    const cellwise_slopes *slopes, float counted_current_A, float unmeasured_A2)
 {
     const float square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2);
     relax(x, p, p->gain1, p->gain2, p->gain3, counted_current_A, square_A2);
@@ -228,8 +228,8 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
     const float keep = 1.0f - rise;
     x->h = clip((keep * x->h) + ((counted_current_A < 0.0f) ? rise : -rise), -1.0f, 1.0f);
     fade_hysteresis(x, keep);
-    if (w->spread > 0.0f) {
-        tilt(x, p, w, counted_current_A);
+    if (slopes->spread > 0.0f) {
+        tilt(x, p, slopes, counted_current_A);
     }
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
         add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(counted_current_A)));

@@ -52,18 +52,18 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     if (charge.missing != 0u) {
         cross_gap(c, x, &p, charge.missing, reading.current, charge.bridge);
     }
-    cellwise_slopes w;
-    no_slopes(&p, &w);
+    cellwise_slopes slopes;
+    no_slopes(&p, &slopes);
     if (x->ss > WIDE_VARIANCE) {
-        slopes_of(m, &place, x->soc, root(x->ss), reading.delayed_current_A, &p, &w);
+        slopes_of(m, &place, x->soc, root(x->ss), reading.delayed_current_A, &p, &slopes);
     }
     if (reading.news == INTERVAL) {
-        predict(c, x, &p, &w, reading.counted_current_A, reading.unmeasured_A2);
+        predict(c, x, &p, &slopes, reading.counted_current_A, reading.unmeasured_A2);
         heat(c, x, p.r0_ohm, reading.delayed_current_A, reading.counted_current_A);
         count_offset(c, x, &p, &reading, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &reading);
-    status = charge.status | correct(c, x, &p, &w, &reading, sample->voltage_V, beyond, out);
+    status = charge.status | correct(c, x, &p, &slopes, &reading, sample->voltage_V, beyond, out);
     status = status | finish(x, &reading, charge.missing, sample->sequence, out);
     status = status | beyond;
     out->status = status;

@@ -159,24 +159,24 @@ def plain_step(
     )
     t = transition(cell, point, current_A, dt_s)
     end = states_step(old.cell, t, current_A, lane.soc, lane.slow_A)
-    over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
+    interval = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     c = step_constants(cell, noise, dt_s)
-    p = with_noise(decayed(old.p, t), c, noise, reading, over, 0.0, tables.cell.charge_As)
+    p = with_noise(decayed(old.p, t), c, noise, reading, interval, 0.0, tables.cell.charge_As)
     polarisation_V = polarisation_of(point, end, current_A)
     x = with_heat(end, heat_step(cell, end.heat_K, current_A, polarisation_V, dt_s))
     bias_soc = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, reading.current_A)
-    now = Predicted(
+    predicted = Predicted(
         old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
         old.watch.evidence_s, drift, None, bias_soc, 0,
     )
     # fmt: on
-    innovation = innovate(c, tables, noise, None, reading, now)
-    gate_result = gate(c, noise, old, reading, now.evidence_s, point.r0_ohm, innovation)
+    innovation = innovate(c, tables, noise, None, reading, predicted)
+    gate_result = gate(c, noise, old, reading, predicted.evidence_s, point.r0_ohm, innovation)
     after, info = report(
         innovation,
         gate_result,
-        update(c, noise, None, reading, now, innovation, gate_result),
+        update(c, noise, None, reading, predicted, innovation, gate_result),
         gate_result.status,
     )
     return after, info, gate_result.accepted

@@ -1,4 +1,12 @@
-"""What logs say of the unknowns of a fit: cost, gradient, Gauss-Newton matrix, evidence."""
+r"""What logs say of the unknowns of a fit: cost, gradient, Gauss-Newton matrix, evidence.
+
+.. math:: -\ln p(\theta) = \sum_{\text{logs}} \frac{n}{m} \sum_k c^2
+    \left( \sqrt{1 + (r_k / c\, \sigma_k)^2} - 1 \right)
+    + \tfrac12 (\theta - \bar\theta)^T P (\theta - \bar\theta)
+
+over the m compared rows of each log: residual r (``evaluate``), its deviation sigma (``sizes_V``),
+n independent errors (``numbers``), c = ``EVIDENCE.robust``; the prior's mean and precision P.
+"""
 
 from __future__ import annotations
 

@@ -131,14 +131,14 @@ def use_in_bank(
     a: State,
     state: EkfState,
     reading: CheckedReading,
-    now: Predicted,
+    predicted: Predicted,
     innovation: Innovation,
 ) -> WeighedVoltage:
     """A voltage to a component, if there is one that can be used."""
-    noise, evidence_s = m.noise, now.evidence_s
+    noise, evidence_s = m.noise, predicted.evidence_s
     innovation_V = reading.voltage_V - innovation.voltage_V
     last, swings, frozen = watch_voltage(
-        noise, state.watch, reading, innovation_V, now.point.r0_ohm
+        noise, state.watch, reading, innovation_V, predicted.point.r0_ohm
     )
     used = math.isfinite(innovation_V) and frozen == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
@@ -170,19 +170,19 @@ def step(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     """A component over an interval: its status; ``out`` is what it has predicted."""
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
-    now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
-    innovation = innovate(m.constant, m.tables, noise, m.sigma, reading, now)
+    predicted = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
+    innovation = innovate(m.constant, m.tables, noise, m.sigma, reading, predicted)
     if not (a.error_V2 > 0.0):
         a.error_V2 = innovation.single_V2
-    weighed = use_in_bank(m, a, now.state, reading, now, innovation)
+    weighed = use_in_bank(m, a, predicted.state, reading, predicted, innovation)
     gate_result = weighed.gate_result
     estimate = (
-        update(m.constant, noise, None, reading, now, innovation, gate_result)
+        update(m.constant, noise, None, reading, predicted, innovation, gate_result)
         if gate_result.accepted
-        else without_voltage(now)
+        else without_voltage(predicted)
     )
     after, info = report(
-        innovation, gate_result, estimate, reading.status | now.status | gate_result.status
+        innovation, gate_result, estimate, reading.status | predicted.status | gate_result.status
     )
     put_record(a, 0, 1, after, True)
     a.cost += weighed.cost

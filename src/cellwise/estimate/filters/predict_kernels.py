@@ -127,7 +127,7 @@ def with_noise(
     c: StepConstants,
     noise: NoiseScalars,
     reading: CheckedReading,
-    now: PredictedInterval,
+    interval: PredictedInterval,
     no_voltage_s: float,
     charge_As: float,
 ) -> Covariance:
@@ -136,8 +136,8 @@ def with_noise(
     1 - a^2 keeps the stationary spread independent of the interval. A constant offset of the
     current is a hypothesis of its own, as long as voltages judge it.
     """
-    point: ByState = now.point
-    t: ByState = now.t
+    point: ByState = interval.point
+    t: ByState = interval.t
     lost = no_voltage_s > noise.hold_s
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
     q = c.current_variance_A2
@@ -190,13 +190,13 @@ def by_tangents(
     tables: CellTables,
     noise: NoiseScalars,
     reading: CheckedReading,
-    now: PredictedInterval,
+    interval: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
 ) -> tuple[CellState, Covariance, VoltageSlopes]:
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
-    end, point = now.end, now.point
-    t: ByState = now.t
+    end, point = interval.end, interval.point
+    t: ByState = interval.t
     ss = drifted(tables, reading, variance_after_gap(tables, noise, reading, p.ss))
     p = changed(decayed(p, t), "ss", ss)
     slopes = slopes_at(
@@ -204,7 +204,7 @@ def by_tangents(
         end.soc,
         ss,
         point,
-        now.effective_temperature_C,
+        interval.effective_temperature_C,
         reading.delayed_current_A,
         end.slow_A,
     )
@@ -214,4 +214,8 @@ def by_tangents(
             *(slopes.rise.row[i] * (1.0 - t.a[i]) * reading.counted_current_A for i in BRANCHES)
         )
         p = driven_by_soc(p, drives)
-    return end, with_noise(p, c, noise, reading, now, no_voltage_s, tables.cell.charge_As), slopes
+    return (
+        end,
+        with_noise(p, c, noise, reading, interval, no_voltage_s, tables.cell.charge_As),
+        slopes,
+    )

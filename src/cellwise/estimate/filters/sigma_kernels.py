@@ -84,7 +84,7 @@ def by_points(
     noise: NoiseScalars,
     sigma: SigmaScalars,
     reading: CheckedReading,
-    now: PredictedInterval,
+    interval: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
 ) -> tuple[CellState, Covariance, VoltageSlopes]:
@@ -93,9 +93,9 @@ def by_points(
     The slopes are those of the centre; their ``spread`` is above zero where the points have their
     own tables.
     """
-    t, c = now.t, sigma.reach
-    old: ByState = now.old
-    point: ByState = now.point
+    t, c = interval.t, sigma.reach
+    old: ByState = interval.old
+    point: ByState = interval.point
     ss = variance_after_gap(tables, noise, reading, p.ss)
     root, along = along_soc(p, ss)
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
@@ -106,19 +106,19 @@ def by_points(
     if wide:
         up = loaded(
             tables,
-            now.end.soc + c * root,
-            now.effective_temperature_C,
+            interval.end.soc + c * root,
+            interval.effective_temperature_C,
             reading.delayed_current_A,
-            now.end.slow_A,
+            interval.end.slow_A,
         )
         low = loaded(
             tables,
-            now.end.soc - c * root,
-            now.effective_temperature_C,
+            interval.end.soc - c * root,
+            interval.effective_temperature_C,
             reading.delayed_current_A,
-            now.end.slow_A,
+            interval.end.slow_A,
         )
-    x: ByState = now.end
+    x: ByState = interval.end
     per = 0.5 / c
     above: dict[Any, float] = {}
     below: dict[Any, float] = {}
@@ -140,7 +140,7 @@ def by_points(
     p = decayed(without_outer(p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))  # type: ignore[call-arg]
     p = with_soc_row(p, drifted(tables, reading, ss), d, root)
-    p = with_noise(p, constant, noise, reading, now, no_voltage_s, tables.cell.charge_As)
+    p = with_noise(p, constant, noise, reading, interval, no_voltage_s, tables.cell.charge_As)
     x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     return x, p, tangent(point.ocv_slope_V, root if wide else 0.0)
 

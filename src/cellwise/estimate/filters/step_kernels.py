@@ -1,14 +1,32 @@
-"""One way through a filter's step: sense, predict, innovate, weigh, update, say.
+"""One way through a filter's step: read, predict, innovate, gate, update, report.
+
+Each station of :func:`filter_step` takes the records of those before it and returns one:
+
+- ``read_sample``, a `CheckedReading`: faults replaced; which current the voltage has seen, of
+  which one the charge is counted;
+- ``predict``, a `Predicted`: SOC by that charge, tables at the new SOC, branches and covariance P
+  over the interval;
+- ``innovate``, an `Innovation`: the predicted voltage, P H', and the variance that the state
+  explains, H P H', beside that of a single voltage, r;
+- ``gate``, a `GateResult`: used or rejected, and 1 / (H P H' + n r), what it weighs with;
+- ``update``, an `Estimate`: gain and correction; ``without_voltage`` where none is accepted;
+- ``report``: the `EkfState` that is carried, the `EkfInfo` that may be looked at.
+
+n is how many samples share one error: the model's voltage error is remembered for minutes, so
+consecutive voltages repeat the same evidence, and each is weighed with n times its variance
+(2 tau / dt: the spectral density of an exponentially correlated error at rest). Gate and NIS look
+at the plain variance of one sample. What no variance of a sample describes is carried beside P:
+``mismatch``, ``persistent``, ``contradicted`` (see `EkfState`), and in ``drift`` a constant offset
+of the current as a second hypothesis. P is that of a right current; the SOC that is carried is the
+mean of both hypotheses, the filter's own and ``bias_soc``.
 
 Every filter is this step. They differ in how the moments are taken, by tangents and chords
 (EKF, ``sigma`` None) or by sigma points (UKF), and in what is free beside the cell's states:
 nothing (``rules`` and ``free`` None), or capacity and resistances (adaptive). What is None is no
 part of the compiled code. There are no matrix calls, and nothing is allocated.
 
-The model's voltage error is remembered for minutes, so consecutive voltages repeat the same
-evidence. Each is therefore weighed with its variance times the number of samples that share one
-error (2 tau / dt: the spectral density of an exponentially correlated error at rest), while the
-gate and NIS look at the plain variance of one sample.
+``c`` are the constants of a step, ``x`` the cell's state, ``p`` the upper triangle of P, ``t`` a
+transition, ``point`` the tables at one SOC. Equations: docs/theory.md, section 10.
 """
 
 from __future__ import annotations
@@ -94,30 +112,34 @@ def predict(
         soc = state.cell.soc
         status = STATE_RESET
     p, evidence = state.p, state.watch.evidence_s
-    now = over_interval(tables, noise, state.cell, soc, reading, evidence == NOT_BEGUN_S)
+    interval = over_interval(tables, noise, state.cell, soc, reading, evidence == NOT_BEGUN_S)
     if evidence == NOT_BEGUN_S:
-        p = uncorrelated(p.ss, now.unknown, p.phh)
+        p = uncorrelated(p.ss, interval.unknown, p.phh)
         evidence = NO_VOLTAGE_YET_S
     bias_soc = state.drift.believed * state.drift.reach + capacity_soc(free)
     counted = 0.0 if reading.gap or reading.lost_A > 0.0 else 1.0
     drift = counted_on(
-        noise, state.drift, now.t, cell.charge_As, counted * reading.dt_s, reading.current_A
+        noise, state.drift, interval.t, cell.charge_As, counted * reading.dt_s, reading.current_A
     )
-    within_data_A = 0.0 if now.status & OUTSIDE else counted * reading.counted_current_A
-    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, within_data_A, reading.dt_s)
+    within_data_A = 0.0 if interval.status & OUTSIDE else counted * reading.counted_current_A
+    free, drift = counted_capacity(
+        cell, rules, free, drift, interval.t.gs, within_data_A, reading.dt_s
+    )
     if sigma is None:
-        x, p, slopes = by_tangents(c, tables, noise, reading, now, p, state.watch.no_voltage_s)
+        x, p, slopes = by_tangents(c, tables, noise, reading, interval, p, state.watch.no_voltage_s)
     else:
-        x, p, slopes = by_points(c, tables, noise, sigma, reading, now, p, state.watch.no_voltage_s)
-    polarisation_V = polarisation_of(now.point, x, reading.delayed_current_A)
+        x, p, slopes = by_points(
+            c, tables, noise, sigma, reading, interval, p, state.watch.no_voltage_s
+        )
+    polarisation_V = polarisation_of(interval.point, x, reading.delayed_current_A)
     x = with_heat(
         x, heat_step(cell, x.heat_K, reading.counted_current_A, polarisation_V, reading.dt_s)
     )
-    status |= now.status
+    status |= interval.status
     # fmt: off
     return Predicted(
-        state, x, p, now.point, slopes, now.effective_temperature_C, evidence, drift, free,
-        bias_soc, status,
+        state, x, p, interval.point, slopes, interval.effective_temperature_C, evidence, drift,
+        free, bias_soc, status,
     )
     # fmt: on
 
@@ -129,30 +151,30 @@ def innovate(
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
     reading: CheckedReading,
-    now: Predicted,
+    predicted: Predicted,
 ) -> Innovation:
     """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
-    x, point, slopes = now.x, now.point, now.slopes
+    x, point, slopes = predicted.x, predicted.point, predicted.slopes
     branches_V = held_in_branches(x)
     single_V2 = variance_about(
         c, noise, point, reading.delayed_current_A, reading.lost_A, branches_V
     )
     if sigma is None:
-        column = column_of(now.p, slopes.slope_V, point.m_V)
+        column = column_of(predicted.p, slopes.slope_V, point.m_V)
         explained_V2 = bent_variance(explained(column, slopes.slope_V, point.m_V), slopes.bend_V)
         voltage_V = voltage_of(point, x, reading.delayed_current_A)
         voltage = PredictedVoltage(voltage_V, column, explained_V2, slopes.slope_V)
     else:
         voltage = voltage_by_points(
-            tables, sigma, reading, point, slopes, now.effective_temperature_C, x, now.p
+            tables, sigma, reading, point, slopes, predicted.effective_temperature_C, x, predicted.p
         )
     # An offset has moved the polarisation, too: by what is believed of it, and what is not known.
-    drift, slope_V = now.drift, voltage.slope_V
+    drift, slope_V = predicted.drift, voltage.slope_V
     dropped_V = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)
     of_offset_V = slope_V * drift.reach + dropped_V
     free_V2 = of_offset_V * of_offset_V * drift.unsure
-    free_V2 += capacity_variance_V2(now.free, slope_V, of_offset_V)
-    bias_V = slope_V * now.bias_soc + drift.believed * dropped_V
+    free_V2 += capacity_variance_V2(predicted.free, slope_V, of_offset_V)
+    bias_V = slope_V * predicted.bias_soc + drift.believed * dropped_V
     # fmt: off
     return Innovation(
         voltage.voltage_V + drift.believed * dropped_V,
@@ -203,17 +225,21 @@ def filter_step(
     """Over the interval that ends now, then the voltage read now."""
     reading = read_sample(tables, noise, state.watch, start.temperature_C, sample)
     c = step_constants(tables.cell, noise, sample.dt_s)
-    now = predict(c, tables, noise, sigma, rules, start, state, free, reading)
-    innovation = innovate(c, tables, noise, sigma, reading, now)
-    gate_result = gate(c, noise, now.state, reading, now.evidence_s, now.point.r0_ohm, innovation)
+    predicted = predict(c, tables, noise, sigma, rules, start, state, free, reading)
+    innovation = innovate(c, tables, noise, sigma, reading, predicted)
+    gate_result = gate(
+        c, noise, predicted.state, reading, predicted.evidence_s, predicted.point.r0_ohm, innovation
+    )
     estimate = (
-        update(c, noise, rules, reading, now, innovation, gate_result)
+        update(c, noise, rules, reading, predicted, innovation, gate_result)
         if gate_result.accepted
-        else without_voltage(now)
+        else without_voltage(predicted)
     )
     after, info = report(
-        innovation, gate_result, estimate, reading.status | now.status | gate_result.status
+        innovation, gate_result, estimate, reading.status | predicted.status | gate_result.status
     )
-    drop_V = now.point.r0_ohm * reading.delayed_current_A + now.x.v1_V
-    free = watched_resistances(rules, estimate.free, noise, reading, drop_V, gate_result, now.p.ss)
+    drop_V = predicted.point.r0_ohm * reading.delayed_current_A + predicted.x.v1_V
+    free = watched_resistances(
+        rules, estimate.free, noise, reading, drop_V, gate_result, predicted.p.ss
+    )
     return after, free, info

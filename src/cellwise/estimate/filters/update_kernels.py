@@ -66,12 +66,14 @@ class Estimate(NamedTuple):
 
 
 @inline
-def without_voltage(now: Predicted) -> Estimate:
+def without_voltage(predicted: Predicted) -> Estimate:
     """An interval without a voltage: what is believed of offset and capacity goes on."""
-    old = now.state
-    bias_soc = now.drift.believed * now.drift.reach + capacity_soc(now.free)
-    x = with_soc(now.x, now.x.soc + (bias_soc - now.bias_soc))
-    return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free)
+    old = predicted.state
+    bias_soc = predicted.drift.believed * predicted.drift.reach + capacity_soc(predicted.free)
+    x = with_soc(predicted.x, predicted.x.soc + (bias_soc - predicted.bias_soc))
+    return Estimate(
+        x, predicted.p, old.persistent, old.contradicted, predicted.drift, predicted.free
+    )
 
 
 @inline
@@ -80,31 +82,39 @@ def update(
     noise: NoiseScalars,
     rules: FreeRules | None,
     reading: CheckedReading,
-    now: Predicted,
+    predicted: Predicted,
     innovation: Innovation,
     gate_result: GateResult,
 ) -> Estimate:
     """After an accepted voltage."""
-    old, slope = now.state, innovation.slope_V
+    old, slope = predicted.state, innovation.slope_V
     gain = scaled(innovation.column, gate_result.inverse)
-    x = moved(now.x, gain, gate_result.innovation_V)
-    p = corrected(now.p, gain, innovation.column)
+    x = moved(predicted.x, gain, gate_result.innovation_V)
+    p = corrected(predicted.p, gain, innovation.column)
     since = max(old.watch.evidence_s, 0.0)
     contradicted = contradicted_after(c, old, innovation, gate_result.innovation_V, since)
     # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
-    if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
+    if predicted.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
-    error_V2 = slow_variance(noise, 0.0, now.point)
+    error_V2 = slow_variance(noise, 0.0, predicted.point)
     persistent = persistent_after(c, old, innovation, error_V2, gate_result.mismatch, gain.s)
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
     own_V = gate_result.innovation_V + innovation.bias_V
     informs = 0.0 if reading.status & CURRENT_INVALID else gate_result.inverse
-    drift = drift_step(now.drift, innovation.of_offset_V, own_V, gain.s, gate_result.inverse)
+    drift = drift_step(predicted.drift, innovation.of_offset_V, own_V, gain.s, gate_result.inverse)
     free, drift = informed_capacity(
-        rules, now.free, drift, innovation.of_offset_V, slope, own_V, gain.s, informs, now.p.ss
+        rules,
+        predicted.free,
+        drift,
+        innovation.of_offset_V,
+        slope,
+        own_V,
+        gain.s,
+        informs,
+        predicted.p.ss,
     )
     bias_soc = drift.believed * drift.reach + capacity_soc(free)
-    x = with_soc(x, x.soc + (gain.s * innovation.bias_V + (bias_soc - now.bias_soc)))
+    x = with_soc(x, x.soc + (gain.s * innovation.bias_V + (bias_soc - predicted.bias_soc)))
     return Estimate(x, p, persistent, contradicted, drift, free)

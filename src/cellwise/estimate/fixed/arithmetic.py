@@ -4,9 +4,9 @@
 the same bits: full parentheses, no contraction, no exp, pow or sqrt, every constant float32, every
 conversion written out. What names a type here is C's type there.
 
-State x = [soc, v1, v2, v3, h]; ``m`` is the model, ``c`` its constants, ``x`` the state,
-``p`` the tables at one SOC, ``w`` slopes over SOC, ``d`` the column P H': see ``layout``. Order:
-lookup, covariance, state, sensing, innovation, step, rows.
+State x = [soc, v1, v2, v3, h]; ``m`` is the model, ``c`` its constants, ``x`` the state with its
+covariance P, ``p`` the tables at one SOC, ``k`` a gain, ``d`` the column P H': see ``layout``.
+Order: lookup, covariance, state, sensing, innovation, step, rows.
 """
 
 from __future__ import annotations

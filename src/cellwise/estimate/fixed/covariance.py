@@ -107,12 +107,12 @@ def forget_hysteresis(x: State) -> None:
 
 
 @unrolled_by_option
-def tilt(x: State, p: Point, w: Slopes, counted_current_A: float) -> None:
+def tilt(x: State, p: Point, slopes: Slopes, counted_current_A: float) -> None:
     """A SOC that is off drives the branches by the resistances' slopes."""
     f: dict[Any, float] = {}
     after: dict[Any, float] = {}
     for i in BRANCHES:
-        f[i] = (w.rise[i] * p.gain[i]) * counted_current_A
+        f[i] = (slopes.rise[i] * p.gain[i]) * counted_current_A
         after[i] = x.p[SOC, i] + (f[i] * x.ss)
     for i, j in triangle(BRANCHES):
         x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], after[j])

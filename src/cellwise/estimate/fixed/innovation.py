@@ -155,7 +155,7 @@ def ask_for_offset(
 
 
 @unrolled_by_option
-def innovate(c: Constants, x: State, p: Point, w: Slopes, reading: Reading) -> Innovation:
+def innovate(c: Constants, x: State, p: Point, slopes: Slopes, reading: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
     drop = p.r0_ohm * reading.delayed_current_A
     polarisation_V = magnitude(drop)
@@ -168,17 +168,17 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, reading: Reading) -> I
     if VALIDITY:
         beyond_V = extrapolated(c, x, reading.delayed_current_A, polarisation_V)
         single_V2 = single_V2 + (beyond_V * beyond_V)
-    column = column_of(x, w.slope_V, p.m_V)
-    explained_V2 = explained(column, w.slope_V, p.m_V)
+    column = column_of(x, slopes.slope_V, p.m_V)
+    explained_V2 = explained(column, slopes.slope_V, p.m_V)
     if WIDE:
-        explained_V2 = bent_variance(explained_V2, w.bend_V)
+        explained_V2 = bent_variance(explained_V2, slopes.bend_V)
     variance_V2 = explained_V2 + single_V2
     of_offset_V = 0.0
     bias_V = 0.0
     if OFFSET:
         # What is believed of an offset has moved the drop, too; what is not known of it may have.
         dropped_V = dropped_by_offset(c, x, p)
-        of_offset_V = (w.slope_V * x.reach) + dropped_V
+        of_offset_V = (slopes.slope_V * x.reach) + dropped_V
         bias_V = x.believed * of_offset_V
         voltage_V = voltage_V + (x.believed * dropped_V)
         variance_V2 = variance_V2 + ((of_offset_V * of_offset_V) * x.unsure)
@@ -187,7 +187,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, reading: Reading) -> I
         variance_V2,
         explained_V2,
         single_V2,
-        w.slope_V,
+        slopes.slope_V,
         of_offset_V,
         bias_V,
         column,

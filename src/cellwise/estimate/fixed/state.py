@@ -281,7 +281,7 @@ def cross_gap(
 
 @unrolled_by_option
 def predict(
-    c: Constants, x: State, p: Point, w: Slopes, counted_current_A: float, unmeasured_A2: float
+    c: Constants, x: State, p: Point, slopes: Slopes, counted_current_A: float, unmeasured_A2: float
 ) -> None:
     """One interval of constant current."""
     square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2)
@@ -291,8 +291,8 @@ def predict(
         keep = 1.0 - rise
         x.h = clip((keep * x.h) + (rise if counted_current_A < 0.0 else -rise), -1.0, 1.0)
         fade_hysteresis(x, keep)
-    if WIDE and w.spread > 0.0:
-        tilt(x, p, w, counted_current_A)
+    if WIDE and slopes.spread > 0.0:
+        tilt(x, p, slopes, counted_current_A)
     if positive_above(SOC_VARIANCE_MOST, x.ss):
         add_variance(x, c.soc_walk + (c.capacity_walk * magnitude(counted_current_A)))
 

@@ -1,6 +1,9 @@
 """One fixed step: predict over the interval that ends now, then use the voltage read now.
 
-The correction: gate, recovery, weight.
+:func:`step` is `filter_step` of the float64 filters in float32, in place: ``see`` checks a sample,
+``count_charge``, ``look_up`` and ``predict`` take the state over the interval, ``correct`` uses the
+voltage (``innovate``, then ``weigh``: gate, recovery, weight, ``fuse``), ``finish`` keeps the
+sample. The equations are the same functions (:mod:`cellwise.estimate.equations`).
 """
 
 from __future__ import annotations
@@ -156,7 +159,7 @@ def correct(
     c: Constants,
     x: State,
     p: Point,
-    w: Slopes,
+    slopes: Slopes,
     reading: Reading,
     voltage: float,
     beyond: int,
@@ -168,7 +171,7 @@ def correct(
         away = x.no_voltage
         if reading.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
-    innovation = innovate(c, x, p, w, reading)
+    innovation = innovate(c, x, p, slopes, reading)
     out.voltage_V = innovation.voltage_V
     out.innovation_variance_V2 = innovation.variance_V2
     out.innovation_V = 0.0
@@ -243,17 +246,17 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         x.evidence = NO_VOLTAGE_YET
     if charge.missing != U(0):
         cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
-    w = no_slopes(p)
+    slopes = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE:
-        w = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
+        slopes = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
     if reading.news == INTERVAL:
-        predict(c, x, p, w, reading.counted_current_A, reading.unmeasured_A2)
+        predict(c, x, p, slopes, reading.counted_current_A, reading.unmeasured_A2)
         if HEATING:
             heat(c, x, p.r0_ohm, reading.delayed_current_A, reading.counted_current_A)
         if OFFSET:
             count_offset(c, x, p, reading, charge.missing)
     beyond = outside(c, x, reading) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, w, reading, sample.voltage_V, beyond, out))
+    status = U(charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, out))
     status = U(status | finish(x, reading, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status
