@@ -24,7 +24,7 @@ SHOWN = (
     ("soc_step", "state of charge"),
     ("inverse_kelvin", "distance from the reference temperature"),
     ("thermal_factor", "Arrhenius factor"),
-    ("lagged_current", "current behind the lag of the surface (`surface_soc`)"),
+    ("lagged_current", "current behind the surface's lag (`surface_soc`)"),
     ("surface_soc", "SOC at the surface of the particles (`surface_soc`)"),
     ("at_temperature", "temperature (`temperature_dependence`, `entropy`)"),
     ("charge_transfer", "factor of a charge transfer"),
