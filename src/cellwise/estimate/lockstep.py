@@ -133,7 +133,7 @@ def read_lane(
         point = loaded(
             tables, soc, reading.temperature_C + old.cell.heat_K, reading.delayed_current_A, slow
         )
-        seen = Lane(
+        read = Lane(
             reading.current_A,
             reading.delayed_current_A,
             reading.voltage_V,
@@ -143,7 +143,7 @@ def read_lane(
             slow,
             point,
         )
-        put_record(work, lane, LANES, seen, True)
+        put_record(work, lane, LANES, read, True)
 
 
 @inline
@@ -188,8 +188,8 @@ def plain_block(
 ) -> None:
     """The plain lanes of a block; the others keep their state."""
     for k in range(LANES):
-        seen: Lane = record_at(Lane, work, k, LANES)
-        new, info, fits = plain_step(tables, noise, get_state(block, k), seen, dt_s)
+        read: Lane = record_at(Lane, work, k, LANES)
+        new, info, fits = plain_step(tables, noise, get_state(block, k), read, dt_s)
         plain = (work[PLAIN * LANES + k] > 0.0) & fits
         work[PLAIN * LANES + k] = 1.0 if plain else 0.0
         put_record(block, k, LANES, new, plain)

@@ -116,9 +116,9 @@ def begin_again(
         state = loosened(tables, start, state)
         spread_about(bank, state)
         return state
-    seen = state.watch.evidence_s >= 0.0 and state.watch.no_voltage_s == 0.0
+    has_voltage_now = state.watch.evidence_s >= 0.0 and state.watch.no_voltage_s == 0.0
     uncounted = status & (SEQUENCE_GAP | CURRENT_LOST) != 0
-    if seen and uncounted and state.p.ss > SPREAD_VARIANCE:
+    if has_voltage_now and uncounted and state.p.ss > SPREAD_VARIANCE:
         spread_about(bank, state)
     return state
 

@@ -86,7 +86,7 @@ class FilterpyFilter(FilterOfModel):
         """Over one interval: the mean's state after it, the transition's diagonal, ``kf.Q``."""
         raise NotImplementedError
 
-    def seen(self, kf: Any, now: MatrixInterval) -> tuple[float, float]:
+    def predicted_voltage(self, kf: Any, now: MatrixInterval) -> tuple[float, float]:
         """The voltage that is expected, and what the state's variance adds to its own."""
         raise NotImplementedError
 
@@ -132,7 +132,7 @@ class FilterpyFilter(FilterOfModel):
             heat_K, slow_A = after.heat_K, after.slow_A
             single_V2, status[k] = self.voltage_variance(kf.x, now)
             shared, below = repeated_evidence(self.constants(dt), noise, evidence, dt, delayed_A)
-            predicted[k], state_V2 = self.seen(kf, now)
+            predicted[k], state_V2 = self.predicted_voltage(kf, now)
             variance[k] = state_V2 + single_V2
             if np.isfinite(voltage[k]):
                 evidence = max(evidence, 0.0)
@@ -222,7 +222,9 @@ class FilterpyEkf(FilterpyFilter):
         point = self.point(float(kf.x[0]), now)
         return np.array([[point.ocv_slope_V, *(-1.0 for _ in BRANCHES), point.m_V]])
 
-    def seen(self, kf: ExtendedKalmanFilter, now: MatrixInterval) -> tuple[float, float]:
+    def predicted_voltage(
+        self, kf: ExtendedKalmanFilter, now: MatrixInterval
+    ) -> tuple[float, float]:
         """At the mean, and by the derivatives there."""
         slopes = self.slopes(kf, now)
         return float(self.voltage(kf.x, now)[0]), float((slopes @ kf.P @ slopes.T)[0, 0])
@@ -265,7 +267,9 @@ class FilterpyUkf(FilterpyFilter):
         """As filterpy does."""
         kf.predict(dt=now.dt_s, now=now)
 
-    def seen(self, kf: UnscentedKalmanFilter, now: MatrixInterval) -> tuple[float, float]:
+    def predicted_voltage(
+        self, kf: UnscentedKalmanFilter, now: MatrixInterval
+    ) -> tuple[float, float]:
         """Over the sigma points."""
         voltages = np.array([self.voltage(s, now) for s in kf.sigmas_f])[:, 0]
         mean = float(kf.Wm @ voltages)

@@ -146,7 +146,7 @@ def correction_variance(
 
 @inline
 @unrolled
-def drop_of(
+def corrected_polarisation(
     point: CellPoint, x: ByState, current_A: float, factor: float, but: Correction
 ) -> float:
     """What the current takes off the OCV, with the factors [V]."""
@@ -178,17 +178,17 @@ def moment_of(
         for _ in range(REPETITIONS):
             point = loaded(tables, x.soc, effective_temperature_C, current, x.slow_A)
             factor = fast_factor(tables.cell, but, current)
-            drop = drop_of(point, x, 0.0, factor, but)
-            inner = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
+            polarisation_V = corrected_polarisation(point, x, 0.0, factor, but)
+            inner = loaded_voltage(point.ocv_V, point.m_V, x.h, polarisation_V) + but.bias_V
             square = inner * inner - 4.0 * factor * point.r0_ohm * load
             possible = square >= 0.0 and inner > 0.0
             if not possible:
                 break
             current = load / (0.5 * (inner + math.sqrt(square)))
     factor = fast_factor(tables.cell, but, current)
-    drop = drop_of(point, x, current, factor, but)
-    voltage = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
-    return LoadPoint(point, current, voltage, drop, possible)
+    polarisation_V = corrected_polarisation(point, x, current, factor, but)
+    voltage = loaded_voltage(point.ocv_V, point.m_V, x.h, polarisation_V) + but.bias_V
+    return LoadPoint(point, current, voltage, polarisation_V, possible)
 
 
 @part
