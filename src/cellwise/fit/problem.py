@@ -86,7 +86,9 @@ class Problem:
     A residual has one variance for all logs: of a level, a share of the polarisation, and an error
     of the SOC where the OCV is steep (``level_V``, ``share``), found on the way. A log counts as so
     many independent errors (``numbers``): a model is wrong for longer than a sample, and thousands
-    of rows are no thousand proofs.
+    of rows are no thousand proofs. Of every compared row ``sizes_V`` is the deviation, ``ends_V``
+    the same but for the error of the SOC that is alike along a log; ``bends_V`` is what each bend
+    of a low-rate test moves there.
 
     Parameters
     ----------
@@ -136,26 +138,26 @@ class Problem:
 
         And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
         """
-        found = [self.row_errors(k, theta) for k in range(len(self.logs))]
+        row_errors = [self.row_errors(k, theta) for k in range(len(self.logs))]
         self.ends_V = tuple(
             np.sqrt(self.level_V**2 + (self.share * x.polarisation_V) ** 2 + x.end**2)
-            for x in found
+            for x in row_errors
         )
         self.sizes_V = tuple(
-            np.hypot(size, x.steep) for size, x in zip(self.ends_V, found, strict=True)
+            np.hypot(size, x.steep) for size, x in zip(self.ends_V, row_errors, strict=True)
         )
-        self.bends_V = tuple(x.bends for x in found)
+        self.bends_V = tuple(x.bends for x in row_errors)
 
     def update_error_sizes(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
-        """Take the size of the residuals, and how many independent errors every log holds."""
+        """Level and share that make the residuals most probable; by them what every row may be."""
         row_errors = [self.row_errors(k, theta) for k in range(len(self.logs))]
         polarisations_V = [x.polarisation_V for x in row_errors]
         steep = [np.hypot(x.steep, x.end) for x in row_errors]
-        squares = [np.concatenate(x) for x in (residuals, polarisations_V, steep)]
+        columns = [np.concatenate(x) for x in (residuals, polarisations_V, steep)]
         weight = np.concatenate(
             [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
         )
-        self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
+        self.level_V, self.share = error_sizes(columns[0], columns[1], columns[2], weight)
         self.update_row_sizes(theta)
 
     def row_errors(self, index: int, theta: FloatArray) -> RowErrors:

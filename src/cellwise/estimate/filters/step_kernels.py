@@ -111,11 +111,11 @@ def predict(
         state, free = ekf_start(start, reading.current_A), nothing_known(rules)
         soc = state.cell.soc
         status = STATE_RESET
-    p, evidence = state.p, state.watch.evidence_s
-    interval = over_interval(tables, noise, state.cell, soc, reading, evidence == NOT_BEGUN_S)
-    if evidence == NOT_BEGUN_S:
+    p, evidence_s = state.p, state.watch.evidence_s
+    interval = over_interval(tables, noise, state.cell, soc, reading, evidence_s == NOT_BEGUN_S)
+    if evidence_s == NOT_BEGUN_S:
         p = uncorrelated(p.ss, interval.unknown, p.phh)
-        evidence = NO_VOLTAGE_YET_S
+        evidence_s = NO_VOLTAGE_YET_S
     bias_soc = state.drift.believed * state.drift.reach + capacity_soc(free)
     counted = 0.0 if reading.gap or reading.lost_A > 0.0 else 1.0
     drift = counted_on(
@@ -138,7 +138,7 @@ def predict(
     status |= interval.status
     # fmt: off
     return Predicted(
-        state, x, p, interval.point, slopes, interval.effective_temperature_C, evidence, drift,
+        state, x, p, interval.point, slopes, interval.effective_temperature_C, evidence_s, drift,
         free, bias_soc, status,
     )
     # fmt: on
