@@ -156,6 +156,9 @@ def test_temperature_nobody_measured_is_the_models():
     many = random_model(np.random.default_rng(8), effects=False)
     many = replace(many, temperature_C=np.array([-10.0, 23.0, 45.0]))
     assert many.usual_temperature_C == 25.0
+    # Its rows go on beyond its data.
+    of_the_cold = replace(many, validity=Validity(temperature_C=(-10.0, 5.0)))
+    assert of_the_cold.usual_temperature_C == 5.0
     cold = replace(many, temperature_C=np.array([-20.0, -10.0, 0.0]))
     assert cold.usual_temperature_C == 0.0
     arrhenius = linear_cell(effects=(TemperatureDependence(2000.0, 40.0),))

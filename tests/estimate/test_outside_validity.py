@@ -151,6 +151,12 @@ def test_a_model_with_an_activation_of_its_own_widens_less():
     assert 0.0 < a < b
 
 
+def test_what_a_model_states_of_its_activation_is_taken_beyond_its_data():
+    stated = replace(MODEL, error=replace(MODEL.error, activation_std_K=2000.0))
+    a, b = (validity_scalars(m).share_per_K for m in (stated, MODEL))
+    assert a / b == pytest.approx(2000.0 / 3600.0)
+
+
 # ---- notices ----
 
 

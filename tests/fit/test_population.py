@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell.model import TABLES as FIELDS
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.fit.population import SOC, ModelPrior, cell_classes, class_of
@@ -138,3 +139,14 @@ def test_what_a_fit_does_not_have_is_not_free():
     assert prior.free[held].all()
     expected = [1.0, 1.0, 0.05, 0.1, 0.1, 0.004]
     np.testing.assert_allclose(np.diag(prior.precision)[held], np.power(expected, -2.0))
+
+
+def test_a_model_as_the_prior_has_tables_where_its_data_were():
+    rows = np.arange(-40.0, 61.0, 10.0)
+    model = stock_model("nca-18650")
+    tables = {n: np.repeat(getattr(model, n)[:1], rows.size, axis=0) for n in FIELDS}
+    valid = replace(model.validity, temperature_C=(1.0, 31.0))
+    wide = replace(model, **tables, temperature_C=rows, effects=(), validity=valid)
+    assert ModelPrior(wide).grid_C.tolist() == [0.0, 10.0, 20.0, 30.0]
+    unknown = replace(wide, validity=replace(valid, temperature_C=None))
+    assert ModelPrior(unknown).grid_C.tolist() == rows.tolist()

@@ -45,12 +45,21 @@ def test_resistances_at_and_between_the_temperatures(result, temperature_C):
 
 
 def test_the_model_has_rows_close_enough_and_the_cells_resistance(result):
-    model = fitted_model(result, skewed=False, hot=True)
+    model = fitted_model(result, cells_like(1.2), skewed=False, hot=True)
     assert set(GRID_C) <= set(model.temperature_C)
-    assert np.diff(model.temperature_C).max() <= KEPT.step_K
+    shown = (model.temperature_C >= GRID_C[0]) & (model.temperature_C <= GRID_C[-1])
+    assert np.diff(model.temperature_C[shown]).max() <= KEPT.step_K
     for t in (3.0, 9.0, 20.0):
         r0 = model.at_temperature(t).r0_ohm[0, 50:180]
         np.testing.assert_allclose(r0, 0.025 * factor(t), rtol=0.05)
+
+
+@pytest.mark.parametrize("temperature_C", [-20.0, -10.0, 35.0, 45.0])
+def test_beyond_the_grid_the_model_goes_on_as_cells_do(result, temperature_C):
+    # Held at the last row it would be off by the whole activation: 23 % at 10 K, 44 % at 20 K.
+    model = fitted_model(result, cells_like(1.2), skewed=False, hot=True)
+    r0 = model.at_temperature(temperature_C).r0_ohm[0, 50:180]
+    np.testing.assert_allclose(r0, 0.025 * factor(temperature_C), rtol=0.15)
 
 
 def test_beyond_the_grid_the_tables_go_on_for_half_a_step(result):

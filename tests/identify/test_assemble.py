@@ -20,7 +20,7 @@ def fitted(truth, *, branches=2, skewed=False, warm=False):
     logs = two_logs(truth, noise=5e-4, warm=warm)
     settings = FitSettings(branches=branches, hysteresis=bool(truth.m_V), skew=skewed)
     result = fit_of(logs, cells_like(1.2, 0.01 if truth.m_V else 0.0), settings)
-    return logs, result, fitted_model(result, skewed, warm)
+    return logs, result, fitted_model(result, cells_like(), skewed, warm)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_effects_that_were_fitted():
     assert np.median(model.effect(Hysteresis).m_V) == pytest.approx(0.02, rel=0.2)
     assert model.effect(TimeSkew).skew_s == pytest.approx(0.3, abs=0.05)
     assert model.effect(TemperatureDependence).activation_K == pytest.approx(3000.0, rel=0.1)
-    names = {e.name for e in fitted_model(result, False, False).effects}
+    names = {e.name for e in fitted_model(result, cells_like(), False, False).effects}
     assert names == {"hysteresis"}, "nobody measured the rest"
 
 

@@ -373,8 +373,10 @@ class CellModel(Plottable, Summarised, Tabular):
     def usual_temperature_C(self) -> float:
         """Taken where nobody measured [degC]: 25, or where the data come nearest to that."""
         low, high = float(self.temperature_C[0]), float(self.temperature_C[-1])
-        if low == high and any(isinstance(e, TemperatureDependence) for e in self.effects):
-            low, high = self.validity.temperature_C or (USUAL_C, USUAL_C)
+        several = low < high  # which may go on beyond the data
+        if several or any(isinstance(e, TemperatureDependence) for e in self.effects):
+            known = (low, high) if several else (USUAL_C, USUAL_C)
+            low, high = self.validity.temperature_C or known
         return min(max(USUAL_C, low), high)
 
     def ocv_at(self, temperature_C: float) -> FloatArray:

@@ -195,12 +195,18 @@ class ModelPrior:
 
     @property
     def grid_C(self) -> FloatArray:
-        """Temperatures with tables of their own, thinned."""
-        kept = [0]
-        for k, warm in enumerate(self.model.temperature_C):
-            if warm - self.model.temperature_C[kept[-1]] >= MODEL_STEP_K:
-                kept.append(k)
-        return np.asarray(self.model.temperature_C[kept])
+        """Temperatures with tables of their own, thinned.
+
+        Not those beyond its data, where it is as a prior over cells had it.
+        """
+        rows = self.model.temperature_C
+        low, high = self.model.validity.temperature_C or (rows[0], rows[-1])
+        shown = (rows >= low - 0.5 * MODEL_STEP_K) & (rows <= high + 0.5 * MODEL_STEP_K)
+        kept: list[float] = []
+        for warm in rows[shown] if shown.any() else rows:
+            if not kept or warm - kept[-1] >= MODEL_STEP_K:
+                kept.append(float(warm))
+        return np.array(kept)
 
     def said(self) -> str:
         """For people: which prior this is."""

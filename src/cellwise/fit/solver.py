@@ -34,7 +34,7 @@ class SolverSettings(NamedTuple):
 
     iterations: int = 40
     least_gain: float = 1e-3
-    least_share: float = 1e-4
+    least_share: float = 1e-3
     largest_step: float = math.inf
     damping: float = DAMPED
 

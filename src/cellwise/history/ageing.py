@@ -465,7 +465,7 @@ def _soc_of(
 
 def _dc_resistance(model: CellModel, temperature_C: float | None) -> float:
     """Resistance to a long constant current, at half charge [ohm]."""
-    warm = float(model.temperature_C[0]) if temperature_C is None else temperature_C
+    warm = model.usual_temperature_C if temperature_C is None else temperature_C
     at = model.at_temperature(warm)
     middle = at.points // 2
     return float(at.r0_ohm[0, middle] + at.r1_ohm[0, middle] + at.r2_ohm[0, middle])

@@ -18,6 +18,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel, ModelTables
+from cellwise.fit.population import NUGGET_LN, TABLES, CellPrior
 from cellwise.fit.rows import BEYOND
 from cellwise.fit.solve import FitResult
 from cellwise.fit.splines import (
@@ -28,7 +29,7 @@ from cellwise.fit.splines import (
     spline_rows,
     spline_values,
 )
-from cellwise.fit.unknowns import LEAST_RATIO
+from cellwise.fit.unknowns import LEAST_RATIO, bounds_of
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.tables import NAMES, PulseTables
 from cellwise.typing import FloatArray
@@ -41,23 +42,33 @@ class _Kept(NamedTuple):
     m_V: float = 1e-4  # less is no hysteresis
     skew_s: float = 0.005  # less is no delay
     step_K: float = 5.0  # at 5,000 K and -20 degC a line is within 1 % of the exponential
+    beyond_K: tuple[float, ...] = (10.0, 20.0)  # rows that no log has shown
 
 
 KEPT = _Kept()
 
 
-def fitted_model(result: FitResult, skewed: bool, hot: bool) -> CellModel:
+def fitted_model(result: FitResult, cells: CellPrior, skewed: bool, hot: bool) -> CellModel:
     """The fitted tables and effects as a model.
 
     With several temperatures it has a row of tables at least every five kelvin, because a model is
-    straight over temperature between its rows and a resistance is not.
+    straight over temperature between its rows and a resistance is not. Beyond the last of them it
+    goes on as the prior over cells says: held there, it would be off by the whole activation.
 
     Parameters
     ----------
+    cells : CellPrior  the prior of the fit
     skewed : bool      a log with a sampling delay was among the data
     hot : bool         a temperature was measured
     """
     rows = [result.at(t) for t in temperatures_of(result)]
+    if len(rows) > 1:
+        ends = ((rows[0], -1.0), (rows[-1], 1.0))
+        cold, warm = (
+            [_beyond(result, cells, end, sign * away) for away in KEPT.beyond_K]
+            for end, sign in ends
+        )
+        rows = [*reversed(cold), *rows, *warm]
     tables = [fitted_tables(row) for row in rows]
     stacked = ModelTables(*(np.array(t) for t in zip(*tables, strict=True)))
     return CellModel(
@@ -93,6 +104,25 @@ def temperatures_of(result: FitResult) -> FloatArray:
     for a, b in pairwise(ends):
         rows.append(np.linspace(a, b, int(np.ceil((b - a) / KEPT.step_K)) + 1)[1:])
     return np.concatenate(rows)
+
+
+def _beyond(result: FitResult, cells: CellPrior, end: FitResult, away_K: float) -> FitResult:
+    """The tables so far from those of one end, as the prior has them given those of the grid."""
+    lay, known = result.layout, result.layout.block
+    at_C = float(end.grid_C[0]) + away_K
+    every_C = np.array([*result.grid_C, *end.grid_C, at_C])
+    theta = end.theta.copy()
+    for name, at, there in zip(TABLES, lay.tables(), end.layout.tables(), strict=False):
+        mean, covariance = cells.table(name, greville(TABLE_KNOTS), every_C)
+        if name.startswith("r"):
+            mean = mean - np.log(result.capacity_Ah)
+        seen = covariance[:known, :known] + NUGGET_LN**2 * np.eye(known)
+        away = np.linalg.solve(seen, result.theta[at : at + known] - mean[:known])
+        near, far = (mean[known:] + covariance[known:, :known] @ away).reshape(2, lay.knots)
+        theta[there : there + lay.knots] += far - near
+    possible = bounds_of(end.layout, 3600.0 * result.fitted_Ah)
+    theta = np.clip(theta, *possible)
+    return replace(end, theta=theta, reference_C=at_C, grid_C=np.array([at_C]))
 
 
 def fitted_tables(result: FitResult) -> ModelTables:

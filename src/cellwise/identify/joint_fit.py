@@ -146,7 +146,7 @@ class JointLogs:
     def model_of(self, result: FitResult, effects: Sequence[Effect] = ()) -> CellModel:
         """The model of a fit, and effects that lie beside its tables."""
         hot = any(item.log.temperature_C is not None for item in self.logs)
-        model = fitted_model(result, self.settings.skew, hot)
+        model = fitted_model(result, self.cells, self.settings.skew, hot)
         for effect in effects:
             model = model.with_effect(effect)
         return model

@@ -13,20 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.fit.model_error import (
-    MIDDLE,
     SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
     polarisation_of,
     unseen_shares,
 )
-from cellwise.fit.rows import FitLog, inverse_K
+from cellwise.fit.rows import FitLog
 from cellwise.identify.assemble import own_model
 from cellwise.identify.effect_selection import NEEDED, JointFit, drive_temperatures
 from cellwise.identify.joint_fit import QUICK_ITERATIONS
@@ -75,29 +73,11 @@ def stated_error(
     left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
     open_share = math.sqrt(max(left_open, 0.0))
     error = error.with_slow(open_V, math.hypot(open_share, other_share))
-    beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
+    beyond_K = joint.cells.activation_K[1] if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.fewest:
         # One activation for all of them: colder, another process limits, and may have none or two.
         beyond_K = abs(fit.result.activation_K)
     return replace(error, activation_std_K=beyond_K)
-
-
-def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
-    """By how much the activation may be off beyond the tables' temperatures, the larger end [K].
-
-    Tables of several temperatures are held beyond the last one: it is the activation of the whole
-    resistance between the last two that is missing.
-
-    Parameters
-    ----------
-    grid_C : (temperatures,) float      with tables of their own, ascending
-    """
-    at = [int(np.argmin(np.abs(model.temperature_C - t))) for t in grid_C]
-    rows = (model.soc > MIDDLE[0]) & (model.soc < MIDDLE[1])
-    third = np.broadcast_to(model.effect(SlowDiffusion).r3_ohm, model.r0_ohm.shape)
-    whole = np.log((model.r0_ohm + model.r1_ohm + model.r2_ohm + third)[at][:, rows])
-    slopes = np.diff(whole, axis=0) / np.diff(inverse_K(grid_C, grid_C[0]))[:, None]
-    return max(math.sqrt(float(np.mean(slope * slope))) for slope in (slopes[0], slopes[-1]))
 
 
 def leave_out(fit: JointFit) -> tuple[Fold, ...]:

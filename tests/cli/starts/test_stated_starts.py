@@ -114,7 +114,6 @@ def test_a_start_says_how_sure_it_is_taken_to_be(model, middle, capsys):
     assert "60 % ± 2.0 %, given" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.xfail(strict=True, reason="9 of 12; of all 77 such rests 78 % (83 with four fits)")
 def test_a_log_cut_where_a_load_has_just_ended_says_how_sure_its_start_is(
     run_json, model, tmp_path
 ):

@@ -1,23 +1,20 @@
-"""Activations of single resistances, and what tables lack beyond their temperatures."""
+"""Activations of single resistances."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellwise.cell.model import CellModel
 from cellwise.fit.rows import FitLog, inverse_K
 from cellwise.fit.unknowns import FitSettings
 from cellwise.identify.effect_selection import fit_with_effects
-from cellwise.identify.stated_error import activation_beyond_K
-from fit_cases import CAPACITY_AH, Truth, cells_like, constant, joint_logs, log_of
+from fit_cases import Truth, cells_like, constant, joint_logs, log_of
 from synthetic import drive_current
 
 DRIVES_C = (0.0, 13.0, 25.0, 40.0)
 REFERENCE_C = 25.0
 SETTINGS = FitSettings(branches=2)
 COMMON_K = 2500.0
-SLOPES_K = (2000.0, 4200.0)  # above and below 12 degC
 OWN_K = {"r0": 1000.0, "r1": 4500.0, "r2": 2500.0}
 
 
@@ -61,16 +58,3 @@ def test_each_resistance_gets_its_own_activation_only_where_drives_held_out_show
         assert whole == pytest.approx(OWN_K, abs=400.0)
     else:
         assert not any(beside.values())
-
-
-def test_tables_of_several_temperatures_lack_the_activation_between_the_last():
-    grid = np.array([0.0, 12.0, 25.0])
-    r0 = 0.02 * np.exp(SLOPES_K[0] * inverse_K(grid, 12.0))
-    r0[0] = 0.02 * np.exp(SLOPES_K[1] * inverse_K(0.0, 12.0))
-    table = np.ones((3, 11))
-    model = CellModel(
-        CAPACITY_AH, np.linspace(3.0, 4.2, 11) * table,
-        r0[:, None] * table, 0.5 * r0[:, None] * table,
-        6.0 * table, 0.7 * r0[:, None] * table, 90.0 * table, temperature_C=grid,
-    )  # fmt: skip
-    assert activation_beyond_K(model, grid) == pytest.approx(max(SLOPES_K))

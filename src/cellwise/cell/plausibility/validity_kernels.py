@@ -64,7 +64,7 @@ def validity_scalars(model: CellModel) -> ValidityScalars:
     bounds = valid.bounds()
     thermal = model.effect(TemperatureDependence)
     activation_K = ACTIVATION_STD_K if thermal.activation_K != 0.0 else ACTIVATION_K
-    activation_K = max(activation_K, model.error.activation_std_K or 0.0)
+    activation_K = model.error.activation_std_K or activation_K
     coldest_K = ROOM_K if valid.temperature_C is None else valid.temperature_C[0] + ZERO_CELSIUS_K
     # Where nobody measures, the model takes a temperature of its own, which is no news.
     usual_C = model.usual_temperature_C

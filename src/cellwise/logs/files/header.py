@@ -22,6 +22,8 @@ _DATE_AND_CLOCK = re.compile(r"(\d[-./]\d+[-./]\d+) (\d+:\d)")
 def most_names(texts: Sequence[str], names: Collection[str]) -> int | None:
     """The line with most of the names, two at least."""
     wanted = {folded(name) for name in names}
+    if len(wanted) < 2:  # thousands of lines are not cut into cells for nothing
+        return None
     scores = [len(wanted.intersection(map(folded, header_cells(text)))) for text in texts]
     best = max(scores, default=0)
     return scores.index(best) if best > 1 else None
@@ -138,8 +140,7 @@ def header_cells(line: str) -> list[str]:
 def has_names(source: LogSource, *groups: Collection[str]) -> bool:
     """One of a text's first lines holds a name of each group."""
     sought = [{folded(name) for name in group} for group in groups]
-    for line in source.first_lines:
-        text = folded(line)
+    for line, text in zip(source.first_lines, source.folded_lines, strict=True):
         if all(any(name in text for name in group) for group in sought):
             cells = {folded(cell) for cell in header_cells(line)}
             if all(group & cells for group in sought):

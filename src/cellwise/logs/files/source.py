@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Literal, cast
 
 from cellwise.errors import InputError, MachineError
+from cellwise.logs.files.columns import folded
 from cellwise.logs.files.words import words_in
 from cellwise.notices import Notice
 from cellwise.typing import FloatArray
@@ -139,6 +140,11 @@ class LogSource:
             return ()
         lines = decoded(self.head, self.encoding).splitlines()[:MOST_HEADER_LINES]
         return tuple(line.strip() for line in lines)
+
+    @cached_property
+    def folded_lines(self) -> tuple[str, ...]:
+        """The first lines as names are compared: every format looks for its own there."""
+        return tuple(map(folded, self.first_lines))
 
     @cached_property
     def encoding(self) -> str:

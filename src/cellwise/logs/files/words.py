@@ -181,12 +181,11 @@ def long_table(header: Sequence[str]) -> tuple[list[int], int, int | None] | Non
         [k for word in _ALL["long"][kind] for k, p in enumerate(phrases) if p == word]
         for kind in ("entity", "value", "unit")
     )
-    quantities = sum(
-        max(likeness(field, name) for field in ("current_A", "voltage_V")) >= CLEAR
-        for name in header
-    )
     values = [k for k in values if k not in entities[:1]]
-    if not entities or not values or quantities:
+    if not entities or not values:
+        return None
+    quantities = ("current_A", "voltage_V")
+    if any(likeness(field, name) >= CLEAR for name in header for field in quantities):
         return None
     return entities, values[0], units[0] if units else None
 
