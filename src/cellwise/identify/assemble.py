@@ -108,18 +108,18 @@ def temperatures_of(result: FitResult) -> FloatArray:
 
 def _beyond(result: FitResult, cells: CellPrior, end: FitResult, away_K: float) -> FitResult:
     """The tables so far from those of one end, as the prior has them given those of the grid."""
-    lay, known = result.layout, result.layout.block
+    layout, known = result.layout, result.layout.block
     at_C = float(end.grid_C[0]) + away_K
     every_C = np.array([*result.grid_C, *end.grid_C, at_C])
     theta = end.theta.copy()
-    for name, at, there in zip(TABLES, lay.tables(), end.layout.tables(), strict=False):
+    for name, at, there in zip(TABLES, layout.tables(), end.layout.tables(), strict=False):
         mean, covariance = cells.table(name, greville(TABLE_KNOTS), every_C)
         if name.startswith("r"):
             mean = mean - np.log(result.capacity_Ah)
         seen = covariance[:known, :known] + NUGGET_LN**2 * np.eye(known)
         away = np.linalg.solve(seen, result.theta[at : at + known] - mean[:known])
-        near, far = (mean[known:] + covariance[known:, :known] @ away).reshape(2, lay.knots)
-        theta[there : there + lay.knots] += far - near
+        near, far = (mean[known:] + covariance[known:, :known] @ away).reshape(2, layout.knots)
+        theta[there : there + layout.knots] += far - near
     possible = bounds_of(end.layout, 3600.0 * result.fitted_Ah)
     theta = np.clip(theta, *possible)
     return replace(end, theta=theta, reference_C=at_C, grid_C=np.array([at_C]))
