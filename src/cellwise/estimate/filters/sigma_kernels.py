@@ -44,13 +44,13 @@ from cellwise.estimate.slopes_kernels import VoltageSlopes, tangent
 class SigmaScalars(NamedTuple):
     """Scaled sigma points as the kernels see them.
 
-    ``reach`` is c = sqrt(n + lambda), how many standard deviations out a point lies; ``side`` the
+    ``distance`` is c = sqrt(n + lambda), in standard deviations; ``side`` the
     weight of one outer point, 1 / (2 c^2); ``curve`` what the square of a second difference adds to
     a covariance. While the SOC's variance is below ``wide_variance`` every point has the
     resistances of the centre.
     """
 
-    reach: float
+    distance: float
     side: float
     curve: float
     wide_variance: float
@@ -93,7 +93,7 @@ def by_points(
     The slopes are those of the centre; their ``spread`` is above zero where the points have their
     own tables.
     """
-    t, c = interval.t, sigma.reach
+    t, c = interval.t, sigma.distance
     old: ByState = interval.old
     point: ByState = interval.point
     ss = variance_after_gap(tables, noise, reading, p.ss)
@@ -158,7 +158,7 @@ def voltage_by_points(
     p: Covariance,
 ) -> PredictedVoltage:
     """Of the centre and of the pair, drawn again from the prediction."""
-    c = sigma.reach
+    c = sigma.distance
     root, along = along_soc(p, p.ss)
     branches = sum(x.state[i] for i in BRANCHES)
     away = c * sum(along.row[i] for i in BRANCHES)
