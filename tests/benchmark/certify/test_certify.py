@@ -18,11 +18,16 @@ from cellwise.benchmark.certify.restarts import restart_loss
 from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread, aged, draw_cell
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.posterior import POINTS, Posterior
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.options import Asked
+from cellwise.estimate.fixed.stepper import start_state
+from cellwise.estimate.replay import replay
 from cellwise.estimate.sensor import CAR, Sensor
+from cellwise.export.package import Export, write_package
 
 pytestmark = pytest.mark.skipif(
     shutil.which("cc") is None and shutil.which("gcc") is None, reason="no C compiler"
@@ -72,6 +77,41 @@ def test_layout_and_prefix_change_nothing(folder, tmp_path, capsys, monkeypatch)
         run(capsys, other, "--cells", "1", "--hours", "3")[1]
         == (run(capsys, folder, "--cells", "1", "--hours", "3")[1])
     )
+
+
+@pytest.mark.parametrize("fault", [0, 1])
+def test_what_is_certified_is_what_replay_steps(folder, fault):
+    """The SOC of a life is that of `replay --estimator firmware`, to the bit: by a bank."""
+    exported = read_export(folder)
+    fleet = lives.Fleet(2, 0, (), 6.0, 1, CAR.of_cell(exported.model.capacity_Ah))
+    life = fleet.life(exported.model, lives.MODEL, fault, exported.dt_s)
+    start = life.about["started_at"]
+    run = replay(exported.model, life.seen, "firmware", start, soc0_std=START_STD)
+    said = certify_run.lived(exported, life, fleet.seed)
+    np.testing.assert_array_equal(said.soc, run.trace.soc)
+    np.testing.assert_array_equal(said.std, run.trace.soc_std)
+    samples = samples_of(exported.model, life.seen, exported.dt_s)
+    alone = exported.stepper.rows(start_state(exported.stepper, start, START_STD), samples.records)[
+        samples.row_sample
+    ]
+    assert np.abs(alone["soc"] - said.soc).max() > 0.001  # one filter without a bank says other
+
+
+def test_a_bank_has_as_many_components_as_its_readme_says(tmp_path):
+    """One number: in README, glue of a layout, and what is certified; a lean one has no bank."""
+    model = stock_model("nmc-18650")
+    for layout, asked in ((None, {}), ("px4", {"components": 5}), (None, {"wide": False})):
+        export = Export(model, 5.0, asked=Asked(**asked), layout=layout)
+        place = tmp_path / f"{layout}{len(asked)}{export.components}"
+        unmeasured = {"targets": [], "accuracy": [], "sockets": {}, "notices": []}
+        write_package(export, place, export.description | unmeasured)
+        memory = read_export(place).started(0.5, 0.15)
+        assert memory.states.size == (1 if memory.bank is None else 1 + export.components)
+        assert (memory.bank is None) == (not export.asked.wide)
+        assert f"N = {export.components}" in (place / "README.md").read_text()
+        glue = [path.read_text() for path in place.rglob("cellwise_glue.h")]
+        assert len(glue) == (layout is not None)
+        assert all(f"GLUE_COMPONENTS ({export.components}u)" in text for text in glue)
 
 
 def test_a_limit_that_is_not_kept_is_exit_1(folder, capsys):
