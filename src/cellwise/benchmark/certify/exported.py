@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
+from cellwise.estimate.filters.kalman import check_components
 from cellwise.estimate.fixed.options import Options
 from cellwise.estimate.fixed.stepper import FilterMemory
 from cellwise.estimate.fixed.tables import FixedStepTables
@@ -80,7 +81,7 @@ class Exported:
 
     def started(self, soc: float, soc_std: float) -> FilterMemory:
         """A state before its first sample; with a bank in, a bank of as many as the README says."""
-        return self.stepper.start_filter(int(self.description["components"]), soc, soc_std)
+        return self.stepper.start_filter(self.description["components"], soc, soc_std)
 
     def of_capacity(self, capacity_Ah: float) -> HostLibrary:
         """The same on tables of a cell of another capacity."""
@@ -155,7 +156,8 @@ def _description(place: Path) -> dict[str, Any]:
         if not isinstance(found, dict):
             raise ValueError("no object")
         _ = found["model_sha256"], float(found["dt_s"]), int(found["model_bytes"])
-        _ = Options(**found["options"]), int(found["components"])
+        _ = Options(**found["options"])
+        check_components(found["components"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"'{place}', in which {DESCRIPTION} is missing or damaged",
