@@ -187,10 +187,8 @@ def test_the_last_digit_and_the_range_are_in_what_the_filter_sees(folder):
     assert np.abs(seen.current_A).max() == pytest.approx(2.0)
 
 
-@pytest.fixture(scope="module")
-def restarted(folder):
+def restarted(exported):
     """Event, error and true SOC of lives with losses of power, a car's sensors."""
-    exported = read_export(folder)
     fleet = lives.Fleet(16, 0, (), 48.0, 1, CAR.of_cell(exported.model.capacity_Ah))
     found = []
     for number in range(fleet.cells):
@@ -205,11 +203,19 @@ def restarted(folder):
     return found
 
 
-def test_a_restart_costs_an_export_at_most_a_point_beyond_what_flowed(restarted):
+def test_a_restart_costs_an_export_at_most_a_point_beyond_what_flowed(folder):
     """Power lost in the middle of a write and for hours; tables updated."""
-    for event, error, soc in restarted:
+    for event, error, soc in restarted(read_export(folder)):
         assert {TORN, RESTART, UPDATED} <= set(event)
         assert restart_loss(event, error, soc) <= 0.01
+
+
+@pytest.mark.xfail(
+    strict=True, reason="2.0 points: tables of a new cell, sure of 5 mV, on old ones"
+)
+def test_a_restart_costs_a_cells_own_model_as_little(of_capacity_std):
+    for lived in restarted(read_export(of_capacity_std(0.004))):
+        assert restart_loss(*lived) <= 0.01
 
 
 def test_a_filter_that_keeps_nothing_begins_as_it_is_told(folder):
