@@ -298,7 +298,7 @@ def test_drawn_cells_have_the_posteriors_spread(folder):
         ("cell_table.c", "0x1", "0x1.8p+0f + 0x1", "bits that are not those"),
         ("cellwise_step.h", "float ", "flaot ", "does not compile"),
         ("cellwise_export.json", "{", "[", "missing or damaged"),
-        ("cellwise_export.json", '"components": 11', '"components": 0', "components"),
+        ("cellwise_export.json", '"components": 11', '"components": 0', "missing or damaged"),
         ("cellwise_export.json", '"components"', '"others"', "missing or damaged"),
         ("cell.json", '"name": "', '"name": "other ', "sha256"),
     ],
