@@ -174,7 +174,12 @@ uint32_t cellwise_bank_restore(const cellwise_model *m, cellwise_bank *b, cellwi
     cellwise_state kept;
     const uint32_t fault = cellwise_restore(m, &kept, from, age_s);
     if ((fault == 0u) || (fault == CELLWISE_OTHER_MODEL)) {
+        const bool has_seen = kept.evidence > 1u; /* a voltage: it is no start */
+        const bool is_gap = steps_of(age_s) > m->constant.gap_steps;
         (void)cellwise_bank_init(m, b, of, count, kept.soc, kept.ss);
+        if (has_seen && is_gap) { /* CW-014: its step begins components again where the SOC is not known by then */
+            b->spread = 0u;
+        }
         if (b->spread == 0u) {
             of[0] = kept;
         }

@@ -69,8 +69,9 @@ void cellwise_keep(cellwise_stored *into, const cellwise_state *x, const cellwis
 uint32_t cellwise_restore(const cellwise_model *m, cellwise_state *x, const cellwise_stored *from, uint32_t age_s);
 
 #if CELLWISE_BANK
-/* The same with a bank in front of the state: components are not kept. Where the SOC's variance asks for them they
- * begin again. */
+/* The same with a bank in front of the state: components are not kept. After a gap the estimate goes on as in a bank
+ * that was not off: where the step finds its SOC too uncertain it begins components again, about what the state knows.
+ * Without one they begin here, as at a start, where the SOC's variance asks for them. */
 uint32_t cellwise_bank_restore(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                                const cellwise_stored *from, uint32_t age_s);
 #endif

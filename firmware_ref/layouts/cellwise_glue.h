@@ -21,7 +21,7 @@
 extern "C" {
 #endif
 
-#define CELLWISE_GLUE_COMPONENTS (11u)
+#define CELLWISE_GLUE_COMPONENTS (@COMPONENTS@u)
 #define CELLWISE_GLUE_START_SOC (0.5f) /* nobody says where it begins */
 #define CELLWISE_GLUE_START_VARIANCE (0.09f)
 /* Readings without which a SOC is no estimate any more. */

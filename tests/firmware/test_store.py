@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.noise import noise_for
 from cellwise.export.firmware import HostLibrary
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, noisy_samples, tables_of
@@ -225,8 +227,7 @@ def test_a_state_goes_on_with_new_tables_to_the_bit_of_the_twin(wide):
     before.rows(state, records[:500])
     slots = np.zeros((2, 32 + state.nbytes + 4), np.uint8)
     with_C = [HostLibrary(tables) for tables in (old, new)]
-    memory = with_C[0]._ffi.from_buffer
-    with_C[0]._library.cellwise_keep(*map(memory, (slots[0], state, slots[1])))
+    with_C[0].loaded.call("keep", slots[0], state, slots[1])
     restored = after.state()
     missing = 7 * wide  # without it a gap begins at rest
     assert with_C[1].call("restore", restored, slots[0], missing) == OTHER_MODEL
@@ -375,9 +376,41 @@ OF_BANK = """
     CHECK(cellwise_bank_restore(&cellwise_cell, &bank, of, 3u, &kept, 0u) == 0u);
     CHECK(bank.spread == 1u);
     CHECK(!(of[0].soc < x.soc) && !(of[0].soc > x.soc));
+    x.evidence = 1u; /* no voltage seen: a start, however long ago it was kept */
+    cellwise_keep(&kept, &x, &none);
+    CHECK(cellwise_bank_restore(&cellwise_cell, &bank, of, 3u, &kept, CELLWISE_AGE_UNKNOWN) == 0u);
+    CHECK(bank.spread == 1u);
 """
 
 
 def test_a_bank_goes_on_or_begins_again(tmp_path):
     """CW-014."""
     ran(tables_of("full"), tmp_path, OF_BANK)
+
+
+@pytest.mark.parametrize(
+    ("std", "gap_soc", "begins_again"), [(0.01, 0.01, 0), (0.01, 0.05, 1), (0.15, 0.01, 1)]
+)
+def test_a_restored_bank_goes_on_as_one_that_saw_the_gap(std, gap_soc, begins_again):
+    """CW-014: to the bit, whether the SOC is known well enough for one filter or not."""
+    model = curved_cell()
+    noise = replace(noise_for(model, None), gap_soc=gap_soc)
+    library = HostLibrary(fixed_step_tables(model, 1.0, noise))
+    records = noisy_samples(900)
+    before, rest = records[:500], records[500:].copy()
+    ran_on = library.start_filter(5, 0.4, 0.01)
+    library.filter_rows(ran_on, before)
+    assert not ran_on.bank["spread"][0]
+    ran_on.states["ss"][0] = std**2
+    slots = np.zeros((2, 32 + ran_on.states.itemsize + 4), np.uint8)
+    library.loaded.call("keep", slots[0], ran_on.states, slots[1])
+    restored = library.start_filter(5, 0.5, 0.3)
+    age_unknown, longest = 2**32 - 1, 2**20
+    assert library.call("bank_restore", *restored, 5, slots[0], age_unknown) == 0
+    rest["sequence"] -= rest["sequence"][0]
+    found = library.filter_rows(restored, rest[:1])
+    spread = restored.bank["spread"][0]
+    found = np.append(found, library.filter_rows(restored, rest[1:]))
+    rest["sequence"] += before["sequence"][-1] + np.uint32(longest + 1)
+    assert found.tobytes() == library.filter_rows(ran_on, rest).tobytes()
+    assert spread == begins_again

@@ -138,6 +138,7 @@ def readme(description: Mapping[str, Any]) -> str:
         soc_grid=description["soc_grid"]["text"],
         model_bytes=f"{description['model_bytes']:,}",
         state_bytes=description["state_bytes"],
+        components=description["components"],
         build=BUILD,
         parking=Template(parking.strip()).substitute(gap_soc=f"{noise['gap_soc']:g}"),
         current_A=f"{noise['current_A']:.3g}",

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from copy import copy
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,10 +46,31 @@ void cellwise_soh_rows(const void *model, void *x, void *soh, const void *in, vo
 void cellwise_keep(void *into, const void *x, const void *newest);
 uint32_t cellwise_newest_slot(const void *first, const void *second);
 uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);
+uint32_t cellwise_bank_restore(const void *model, void *bank, void *of, uint32_t count,
+                               const void *from, uint32_t age_s);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
 extern const char cellwise_cell[];
 """
+
+
+class LoadedLibrary(NamedTuple):
+    """A compiled library, how Python calls it, and what its names begin with."""
+
+    ffi: Any
+    library: Any
+    prefix: str
+
+    @property
+    def cell(self) -> Any:
+        """The tables that are compiled in."""
+        return getattr(self.library, f"{self.prefix}_cell")
+
+    def call(self, name: str, *handed: Any) -> Any:
+        """A function of the C by the name of the step's; of an array its memory."""
+        public = PUBLIC.get(name, f"cellwise_{name}").replace("cellwise", self.prefix, 1)
+        memory = [self.ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
+        return getattr(self.library, public)(*memory)
 
 
 class Firmware(FixedStep):
@@ -67,35 +88,40 @@ class HostLibrary(Stepper):
     Parameters
     ----------
     compiler : sequence of str or None    command and flags; None: $CC or cc with -O2
+    loaded : LoadedLibrary or None        compiled before; None: it is compiled now
 
     Raises
     ------
     InputError        no C compiler, no cffi, or C that does not compile
     """
 
-    def __init__(self, tables: FixedStepTables, compiler: Sequence[str] | None = None) -> None:
+    def __init__(
+        self,
+        tables: FixedStepTables,
+        compiler: Sequence[str] | None = None,
+        loaded: LoadedLibrary | None = None,
+    ) -> None:
         super().__init__(tables, self._call)
-        with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
-            path = build_library(tables, Path(folder), compiler or host_compiler())
-            self._ffi, self._library = load_library(path)
-        self._model = self._library.cellwise_cell
+        if loaded is None:
+            with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
+                path = build_library(tables, Path(folder), compiler or host_compiler())
+                loaded = load_library(path)
+        self.loaded = loaded
+        self._model = loaded.cell
 
     def on(self, tables: FixedStepTables) -> HostLibrary:
         """The same code on other tables of the same options and time step."""
         found = copy(self)
         Stepper.__init__(found, tables, found._call)
-        found._model = self._ffi.from_buffer(tables.to_bytes())
+        found._model = self.loaded.ffi.from_buffer(tables.to_bytes())
         return found
 
     def model_bytes(self) -> bytes:
         """The model as it stands in the library's read-only memory."""
-        return bytes(self._ffi.buffer(self._model, self.tables.flash_bytes))
+        return bytes(self.loaded.ffi.buffer(self._model, self.tables.flash_bytes))
 
     def _call(self, name: str, *handed: Any) -> Any:
-        """A function of the C; of an array its memory."""
-        function = getattr(self._library, PUBLIC.get(name, f"cellwise_{name}"))
-        pointers = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
-        return function(self._model, *pointers)
+        return self.loaded.call(name, self._model, *handed)
 
 
 def host_compiler() -> list[str]:
@@ -174,8 +200,8 @@ def need_package(name: str) -> list[str]:
     return list(found.submodule_search_locations or ())
 
 
-def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:
-    """How Python calls a compiled library, and the library.
+def load_library(path: Path, prefix: str = "cellwise") -> LoadedLibrary:
+    """A compiled library as Python calls it.
 
     Raises
     ------
@@ -187,4 +213,4 @@ def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:
         raise not_installed("cffi", "the exported C in Python") from error
     ffi = FFI()
     ffi.cdef(DECLARATIONS.replace("cellwise_", f"{prefix}_"))
-    return ffi, ffi.dlopen(str(path))
+    return LoadedLibrary(ffi, ffi.dlopen(str(path)), prefix)

@@ -125,6 +125,11 @@ class Export:
         return fixed_step_tables(self.seen.model, dt_s, self.seen.noise, **vars(self.asked))
 
     @property
+    def components(self) -> int:
+        """How many filters a bank steps side by side; 1 where none is compiled in."""
+        return self.asked.components if self.tables.options.bank else 1
+
+    @property
     def description(self) -> dict[str, Any]:
         """What is exported: the model; of a step its limits, options, noise, sizes."""
         found: dict[str, Any] = {
@@ -142,6 +147,7 @@ class Export:
             "noise": asdict(self.seen.noise),
             "sensor": assumed(self.sensor, self.model.capacity_Ah),
             "options": asdict(options),
+            "components": self.components,
             "soc_grid": soc_grid(self.seen.model, self.asked.points).to_dict(),
             "states": options.states,
             "model_bytes": self.tables.flash_bytes,
@@ -162,7 +168,8 @@ class Export:
         found = dict(write_sources(self.tables, report["model_sha256"], self.model.name))
         found |= dict(example_files(self.model, self.tables, report))
         if self.layout:
-            found = arranged(found, self.layout, self.prefix or "cellwise", self.tables.dt_s)
+            name = self.prefix or "cellwise"
+            found = arranged(found, self.layout, name, self.tables.dt_s, self.components)
         if self.prefix:
             found = prefixed(found, self.prefix)
         found[MODEL_FILE] = model_text(self.model)
@@ -258,7 +265,9 @@ def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> li
     return sorted(files)
 
 
-def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> dict[str, str]:
+def arranged(
+    files: Mapping[str, str], layout: str, name: str, dt_s: float, components: int
+) -> dict[str, str]:
     """The files of a package where a tree wants them, with its own beside.
 
     Parameters
@@ -266,11 +275,13 @@ def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> d
     files : names and texts      of the flat package, before any prefix
     layout : str                 a folder of ``firmware_ref/layouts``
     name : str                   of the library
+    components : int             of the bank that its glue steps
     """
     milliseconds = round(1000.0 * dt_s)
     folder = firmware_folder() / "layouts"
     wanted = tomllib.loads((folder / "layouts.toml").read_text(encoding="utf-8"))[layout]
     marks = {"@UPPER@": name.upper(), "@DT_MS@": str(milliseconds), "@NAME@": name}
+    marks["@COMPONENTS@"] = str(components)
     found: dict[str, str] = {}
     for file, text in files.items():
         if file == "example.c":

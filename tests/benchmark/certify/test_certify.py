@@ -18,11 +18,16 @@ from cellwise.benchmark.certify.restarts import restart_loss
 from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread, aged, draw_cell
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.posterior import POINTS, Posterior
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.options import Asked
+from cellwise.estimate.fixed.stepper import start_state
+from cellwise.estimate.replay import replay
 from cellwise.estimate.sensor import CAR, Sensor
+from cellwise.export.package import Export, write_package
 
 pytestmark = pytest.mark.skipif(
     shutil.which("cc") is None and shutil.which("gcc") is None, reason="no C compiler"
@@ -72,6 +77,41 @@ def test_layout_and_prefix_change_nothing(folder, tmp_path, capsys, monkeypatch)
         run(capsys, other, "--cells", "1", "--hours", "3")[1]
         == (run(capsys, folder, "--cells", "1", "--hours", "3")[1])
     )
+
+
+@pytest.mark.parametrize("fault", [0, 1])
+def test_what_is_certified_is_what_replay_steps(folder, fault):
+    """The SOC of a life is that of `replay --estimator firmware`, to the bit: by a bank."""
+    exported = read_export(folder)
+    fleet = lives.Fleet(2, 0, (), 6.0, 1, CAR.of_cell(exported.model.capacity_Ah))
+    life = fleet.life(exported.model, lives.MODEL, fault, exported.dt_s)
+    start = life.about["started_at"]
+    run = replay(exported.model, life.seen, "firmware", start, soc0_std=START_STD)
+    said = certify_run.lived(exported, life, fleet.seed)
+    np.testing.assert_array_equal(said.soc, run.trace.soc)
+    np.testing.assert_array_equal(said.std, run.trace.soc_std)
+    samples = samples_of(exported.model, life.seen, exported.dt_s)
+    alone = exported.stepper.rows(start_state(exported.stepper, start, START_STD), samples.records)[
+        samples.row_sample
+    ]
+    assert np.abs(alone["soc"] - said.soc).max() > 0.001  # one filter without a bank says other
+
+
+def test_a_bank_has_as_many_components_as_its_readme_says(tmp_path):
+    """One number: in README, glue of a layout, and what is certified; a lean one has no bank."""
+    model = stock_model("nmc-18650")
+    for layout, asked in ((None, {}), ("px4", {"components": 5}), (None, {"wide": False})):
+        export = Export(model, 5.0, asked=Asked(**asked), layout=layout)
+        place = tmp_path / f"{layout}{len(asked)}{export.components}"
+        unmeasured = {"targets": [], "accuracy": [], "sockets": {}, "notices": []}
+        write_package(export, place, export.description | unmeasured)
+        memory = read_export(place).started(0.5, 0.15)
+        assert memory.states.size == (1 if memory.bank is None else 1 + export.components)
+        assert (memory.bank is None) == (not export.asked.wide)
+        assert f"N = {export.components}" in (place / "README.md").read_text()
+        glue = [path.read_text() for path in place.rglob("cellwise_glue.h")]
+        assert len(glue) == (layout is not None)
+        assert all(f"GLUE_COMPONENTS ({export.components}u)" in text for text in glue)
 
 
 def test_a_limit_that_is_not_kept_is_exit_1(folder, capsys):
@@ -147,10 +187,8 @@ def test_the_last_digit_and_the_range_are_in_what_the_filter_sees(folder):
     assert np.abs(seen.current_A).max() == pytest.approx(2.0)
 
 
-@pytest.fixture(scope="module")
-def restarted(folder):
+def restarted(exported):
     """Event, error and true SOC of lives with losses of power, a car's sensors."""
-    exported = read_export(folder)
     fleet = lives.Fleet(16, 0, (), 48.0, 1, CAR.of_cell(exported.model.capacity_Ah))
     found = []
     for number in range(fleet.cells):
@@ -165,11 +203,19 @@ def restarted(folder):
     return found
 
 
-def test_a_restart_costs_an_export_at_most_a_point_beyond_what_flowed(restarted):
+def test_a_restart_costs_an_export_at_most_a_point_beyond_what_flowed(folder):
     """Power lost in the middle of a write and for hours; tables updated."""
-    for event, error, soc in restarted:
+    for event, error, soc in restarted(read_export(folder)):
         assert {TORN, RESTART, UPDATED} <= set(event)
         assert restart_loss(event, error, soc) <= 0.01
+
+
+@pytest.mark.xfail(
+    strict=True, reason="2.0 points: tables of a new cell, sure of 5 mV, on old ones"
+)
+def test_a_restart_costs_a_cells_own_model_as_little(of_capacity_std):
+    for lived in restarted(read_export(of_capacity_std(0.004))):
+        assert restart_loss(*lived) <= 0.01
 
 
 def test_a_filter_that_keeps_nothing_begins_as_it_is_told(folder):
@@ -185,7 +231,8 @@ def test_a_filter_that_keeps_nothing_begins_as_it_is_told(folder):
     assert said[100] == pytest.approx(said[0], abs=1e-6)
     event[50] = SAVE
     said = run_restarted(exported, records, event, (0.7, 0.1), 1.0)["soc"]
-    assert said[100] < said[49]
+    assert said[49] < said[0] - 0.05
+    assert said[100] == pytest.approx(said[49], abs=0.002)  # it goes on there: a step is 0.0014
 
 
 def test_age_takes_capacity_and_adds_resistance(folder):
@@ -251,6 +298,8 @@ def test_drawn_cells_have_the_posteriors_spread(folder):
         ("cell_table.c", "0x1", "0x1.8p+0f + 0x1", "bits that are not those"),
         ("cellwise_step.h", "float ", "flaot ", "does not compile"),
         ("cellwise_export.json", "{", "[", "missing or damaged"),
+        ("cellwise_export.json", '"components": 11', '"components": 0', "missing or damaged"),
+        ("cellwise_export.json", '"components"', '"others"', "missing or damaged"),
         ("cell.json", '"name": "', '"name": "other ', "sha256"),
     ],
 )

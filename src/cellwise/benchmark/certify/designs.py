@@ -26,7 +26,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import Options
-from cellwise.estimate.fixed.stepper import Stepper, start_state
+from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sensor import CAR, CLASSES, SensorReadings, seen_by
 from cellwise.export.firmware import Firmware, HostLibrary
@@ -230,12 +230,8 @@ class DesignStep(Firmware):
     def soc_of(self, records: NDArray[Any], soc: float) -> FloatArray:
         """SOC after each sample, as `run` says it, of samples that many steps share."""
         stepper = self.stepper(self.known_dt_s)
-        state = start_state(stepper, soc, START_STD)
-        if not stepper.tables.options.bank:
-            return np.asarray(stepper.rows(state, records)["soc"], dtype=np.float64)
-        components = self._asked.components
-        bank = stepper.start_bank(components, state[0]["soc"], state[0]["ss"])
-        return np.asarray(stepper.bank_rows(*bank, records)["soc"], dtype=np.float64)
+        memory = stepper.start_filter(self._asked.components, soc, START_STD)
+        return np.asarray(stepper.filter_rows(memory, records)["soc"], dtype=np.float64)
 
     def _make(self, tables: FixedStepTables) -> Stepper:
         if tables.options not in self._libraries:

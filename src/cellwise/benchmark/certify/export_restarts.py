@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.benchmark.certify.exported import Bytes, Exported
+from cellwise.benchmark.certify.exported import Exported
 from cellwise.benchmark.certify.gauge import RESTART, TORN, UPDATED
 from cellwise.estimate.fixed.layout import OUTPUT
+from cellwise.estimate.fixed.stepper import FilterMemory
+from cellwise.export.firmware import HostLibrary, LoadedLibrary
+
+Bytes = NDArray[np.uint8]
 
 # The head of cellwise_stored in words; behind it the state and one word more.
 HEAD_WORDS, MODEL_CRC = 8, 3
@@ -40,39 +44,41 @@ def run_restarted(
     (n,) of layout.OUTPUT
     """
     records, outputs = records.copy(), np.zeros(records.size, dtype=OUTPUT)
-    slots = [np.zeros(4 * (HEAD_WORDS + 1) + exported.state_bytes, np.uint8) for _ in range(2)]
-    tables, state = exported.tables(), exported.started(*start)
+    stepper, memory = exported.stepper, exported.started(*start)
+    size = 4 * (HEAD_WORDS + 1) + memory.states.itemsize
+    slots = [np.zeros(size, np.uint8) for _ in range(2)]
     for first, last in pairwise([0, *np.flatnonzero(event), records.size]):
         kind = event[first] if last > first else 0
         if kind and kind != RESTART:
-            _write(exported, slots, state, kind == TORN)
+            _write(stepper.loaded, slots, memory, kind == TORN)
         if kind == UPDATED:
-            tables = exported.tables(aged_Ah)
+            stepper = exported.of_capacity(aged_Ah)
             slots = [_of_other_tables(slot) for slot in slots]
         if kind >= RESTART:
-            state = _restored(exported, tables, slots, start)
+            memory = exported.started(*start)  # as nobody knows better, unless a slot does
+            _restore(stepper, slots, memory)
             records["sequence"][first:] -= records["sequence"][first]
-        exported.step(tables, state, records[first:last], outputs[first:last])
+        outputs[first:last] = stepper.filter_rows(memory, records[first:last])
     return outputs
 
 
-def _write(exported: Exported, slots: list[Bytes], state: Bytes, torn: bool) -> None:
-    """Keep a state in the slot that is not the newest; torn: half of it comes down."""
-    newest = exported.call("newest_slot", *slots)
+def _write(library: LoadedLibrary, slots: list[Bytes], memory: FilterMemory, torn: bool) -> None:
+    """Keep the estimate in the slot that is not the newest; torn: half of it comes down."""
+    newest = library.call("newest_slot", *slots)
     whole = slots[1 - newest].copy()
-    exported.call("keep", whole, state, slots[newest])
+    library.call("keep", whole, memory.states, slots[newest])
     written = whole.size // 2 if torn else whole.size
     slots[1 - newest][:written] = whole[:written]
 
 
-def _restored(
-    exported: Exported, tables: Bytes, slots: list[Bytes], start: tuple[float, float]
-) -> Bytes:
-    """The state after a start: of the newest slot, else as nobody knows better."""
-    state = exported.started(*start)
-    newest = slots[exported.call("newest_slot", *slots)]
-    exported.call("restore", tables, state, newest, AGE_UNKNOWN)  # else it stays as started
-    return state
+def _restore(stepper: HostLibrary, slots: list[Bytes], memory: FilterMemory) -> None:
+    """Take back what the newest slot holds; of one that is damaged nothing."""
+    newest = slots[stepper.loaded.call("newest_slot", *slots)]
+    if memory.bank is None:
+        stepper.call("restore", memory.states, newest, AGE_UNKNOWN)
+    else:
+        count = memory.states.size - 1
+        stepper.call("bank_restore", memory.bank, memory.states, count, newest, AGE_UNKNOWN)
 
 
 def _of_other_tables(slot: Bytes) -> Bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,20 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import OUTPUT, constant_type
+from cellwise.estimate.filters.kalman import check_components
 from cellwise.estimate.fixed.options import Options
+from cellwise.estimate.fixed.stepper import FilterMemory
+from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sensor import Sensor, sensor_of
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed
-from cellwise.export.firmware import compile_rows, host_compiler, load_library
+from cellwise.export.firmware import (
+    HostLibrary,
+    LoadedLibrary,
+    compile_rows,
+    host_compiler,
+    load_library,
+)
 from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +46,7 @@ class Exported:
     folder: Path
     description: dict[str, Any]
     model: CellModel
-    _ffi: Any
-    _library: Any
-    _prefix: str
+    stepper: HostLibrary
 
     def __reduce__(self) -> tuple[Any, ...]:
         """It is compiled again where it is unpacked: in another process, or on another machine."""
@@ -54,11 +58,6 @@ class Exported:
         return float(self.description["dt_s"])
 
     @property
-    def state_bytes(self) -> int:
-        """Size of its state."""
-        return int(self.description["state_bytes"])
-
-    @property
     def sensor(self) -> Sensor | None:
         """What it was made for, where somebody stated it."""
         stated = self.description.get("sensor", {"by_default": True})
@@ -68,7 +67,7 @@ class Exported:
         return sensor_of(known, DESCRIPTION)
 
     def run(self, records: NDArray[Any], soc: float, soc_std: float) -> NDArray[Any]:
-        """Step the C through samples from a start that is known to ``soc_std``.
+        """Step the C through samples as its README says, from a start known to ``soc_std``.
 
         Parameters
         ----------
@@ -78,39 +77,18 @@ class Exported:
         -------
         (n,) of layout.OUTPUT
         """
-        outputs = np.zeros(records.size, dtype=OUTPUT)
-        state = self.started(soc, soc_std)
-        self.step(self.tables(), state, records, outputs)
-        return outputs
+        return self.stepper.filter_rows(self.started(soc, soc_std), records)
 
-    def started(self, soc: float, soc_std: float) -> Bytes:
-        """A state before its first sample."""
-        state = np.zeros(self.state_bytes, dtype=np.uint8)
-        self.call("init", self.tables(), state, soc, soc_std**2)
-        return state
+    def started(self, soc: float, soc_std: float) -> FilterMemory:
+        """A state before its first sample; with a bank in, a bank of as many as the README says."""
+        return self.stepper.start_filter(self.description["components"], soc, soc_std)
 
-    def step(
-        self, model: Bytes, state: Bytes, records: NDArray[Any], outputs: NDArray[Any]
-    ) -> None:
-        """Step a state through samples on tables."""
-        self.call("rows", model, state, np.ascontiguousarray(records), outputs, records.size)
-
-    def tables(self, capacity_Ah: float | None = None) -> Bytes:
-        """The struct of tables, of a cell of another capacity where one is given."""
-        bytes_of = self._ffi.buffer(
-            getattr(self._library, f"{self._prefix}_cell"), int(self.description["model_bytes"])
-        )
-        found = np.frombuffer(bytes_of, dtype=np.uint8).copy()
-        if capacity_Ah is not None:
-            constants = constant_type(Options(**self.description["options"]))
-            first = found[: constants.itemsize].view(constants)
-            first["soc_per_A"] *= np.float32(self.model.capacity_Ah / capacity_Ah)
-        return found
-
-    def call(self, name: str, *handed: Any) -> Any:
-        """A function of the C, whatever its prefix; of an array its memory."""
-        memory = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
-        return getattr(self._library, f"{self._prefix}_{name}")(*memory)
+    def of_capacity(self, capacity_Ah: float) -> HostLibrary:
+        """The same on tables of a cell of another capacity."""
+        old = self.stepper.tables
+        constants = old.constants.copy()
+        constants["soc_per_A"] *= np.float32(self.model.capacity_Ah / capacity_Ah)
+        return self.stepper.on(replace(old, constants=constants))
 
 
 def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
@@ -152,14 +130,17 @@ def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
     patterns = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c", "*.h")
     files = [path for pattern in patterns for path in place.rglob(pattern)]
     sources = tuple((path.name, path.read_bytes()) for path in files)
-    ffi, loaded = _compiled(sources, prefix, tuple(host_compiler()))
-    return Exported(place, description, model, ffi, loaded, prefix)
+    loaded = _compiled(sources, prefix, tuple(host_compiler()))
+    memory = bytes(loaded.ffi.buffer(loaded.cell, int(description["model_bytes"])))
+    options = Options(**description["options"])
+    tables = FixedStepTables.from_bytes(float(description["dt_s"]), options, memory)
+    return Exported(place, description, model, HostLibrary(tables, loaded=loaded))
 
 
 @lru_cache(maxsize=8)
 def _compiled(
     sources: tuple[tuple[str, bytes], ...], prefix: str, compiler: tuple[str, ...]
-) -> tuple[Any, Any]:
+) -> LoadedLibrary:
     """What sources are compiled to, their vector compared: once in a process, for every fleet."""
     with tempfile.TemporaryDirectory(prefix="certify-") as name:
         built = Path(name)
@@ -174,7 +155,9 @@ def _description(place: Path) -> dict[str, Any]:
         found = json.loads((place / DESCRIPTION).read_text(encoding="utf-8"))
         if not isinstance(found, dict):
             raise ValueError("no object")
-        _ = found["model_sha256"], float(found["dt_s"]), int(found["state_bytes"])
+        _ = found["model_sha256"], float(found["dt_s"]), int(found["model_bytes"])
+        _ = Options(**found["options"])
+        check_components(found["components"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"'{place}', in which {DESCRIPTION} is missing or damaged",

@@ -105,7 +105,7 @@ def certify(
     fleet = Fleet(cells, _physics(physics, cells), tuple(measured), hours, seed, used)
     settings = {
         "model_sha256": exported.description["model_sha256"],
-        **{k: v for k, v in exported.description.items() if k.startswith("gauge")},
+        **{k: v for k, v in exported.description.items() if k.startswith(("gauge", "components"))},
         "dt_s": exported.dt_s,
         "options": exported.description["options"],
         "noise": exported.description["noise"],

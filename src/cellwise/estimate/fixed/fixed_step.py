@@ -199,13 +199,8 @@ class FixedStep:
         dt_s = median_interval_s(log) if self.dt_s is None else self.dt_s
         stepper = self.stepper(dt_s)
         samples = samples_of(self.model, log, dt_s)
-        state = start_state(stepper, soc0, soc0_std)
-        if stepper.tables.options.bank:
-            first = state[0]
-            bank = stepper.start_bank(self._asked.components, first["soc"], first["ss"])
-            out = stepper.bank_rows(*bank, samples.records)[samples.row_sample]
-        else:
-            out = stepper.rows(state, samples.records)[samples.row_sample]
+        memory = stepper.start_filter(self._asked.components, soc0, soc0_std)
+        out = stepper.filter_rows(memory, samples.records)[samples.row_sample]
         variance = out["innovation_variance_V2"].astype(np.float64)
         innovation = out["innovation_V"].astype(np.float64)
         innovation[(out["status"] & VOLTAGE_INVALID) != 0] = np.nan

@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable
 from functools import lru_cache
 from types import CodeType, FunctionType, ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -222,6 +222,16 @@ def _handed(kind: str, value: Any) -> Any:
     return value if kind == "bool" else (F if kind == "float" else U)(value)
 
 
+class FilterMemory(NamedTuple):
+    """What an application keeps: the record of a bank, if there is one, and states.
+
+    The estimate is the first state, components stand behind it; without a bank it is alone.
+    """
+
+    bank: NDArray[Any] | None
+    states: NDArray[Any]
+
+
 class Stepper:
     """Tables with the compiled code that steps them: numba's or C's.
 
@@ -288,6 +298,25 @@ class Stepper:
             count = states.size - 1
             self.call("bank_rows", one, states, count, samples, outputs, samples.size)
         return outputs
+
+    def start_filter(self, components: int, soc0: float, soc0_std: float) -> FilterMemory:
+        """A cell at rest at ``soc0``: by a bank of so many where one is compiled in.
+
+        Raises
+        ------
+        InputError        soc0 outside 0..1, soc0_std not above zero
+        """
+        state = start_state(self, soc0, soc0_std)
+        if not self.tables.options.bank:
+            return FilterMemory(None, state)
+        first = state[0]
+        return FilterMemory(*self.start_bank(components, first["soc"], first["ss"]))
+
+    def filter_rows(self, memory: FilterMemory, samples: NDArray[Any]) -> NDArray[Any]:
+        """Step every sample as an application does: records of OUTPUT, shape (samples,)."""
+        if memory.bank is None:
+            return self.rows(memory.states, samples)
+        return self.bank_rows(memory.bank, memory.states, samples)
 
     def soh_rows(
         self, state: NDArray[Any], record: NDArray[Any], samples: NDArray[Any]

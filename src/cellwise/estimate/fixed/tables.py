@@ -58,6 +58,15 @@ class FixedStepTables:
         """The bytes of the C struct ``cellwise_model``."""
         return self.constants.tobytes() + self.table.tobytes()
 
+    @classmethod
+    def from_bytes(cls, dt_s: float, options: Options, memory: bytes) -> FixedStepTables:
+        """The tables of a struct ``cellwise_model``."""
+        kind = constant_type(options)
+        constants = np.frombuffer(memory, dtype=kind, count=1).copy()
+        rows = np.frombuffer(memory, dtype=np.float32, offset=kind.itemsize).copy()
+        shape = options.temperatures, options.points, len(row_names(options))
+        return cls(dt_s, options, constants, rows.reshape(shape))
+
 
 class SocGrid(NamedTuple):
     """How many SOC points tables have, and what interpolation between them misses at most.
