@@ -112,7 +112,7 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
         cellwise_socplace z;
         soc_place(place, points, middle, &z);
         const float error_V = READ(z.k, error_V, z.within);
-        const float off_V = side * root((error_V * error_V) + more_V2);
+        const float off_V = side * root(at_most((error_V * error_V) + more_V2, SQUARE_MOST));
         if ((READ(z.k, ocv_V, z.beyond) + off_V) < ocv_V) {
             below = middle;
         } else {

@@ -146,7 +146,7 @@ def soc_of_ocv(m: Model, place: Place, ocv_V: float, side: float, more_V2: float
         middle = 0.5 * (below + above)
         z = soc_place(place, points, middle)
         error_V = read(m, place, z.k, ERROR_V, z.within)
-        off_V = side * root((error_V * error_V) + more_V2)
+        off_V = side * root(at_most((error_V * error_V) + more_V2, SQUARE_MOST))
         if read(m, place, z.k, OCV_V, z.beyond) + off_V < ocv_V:
             below = middle
         else:
