@@ -112,7 +112,7 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
         cellwise_socplace z;
         soc_place(place, points, middle, &z);
         const float error_V = READ(z.k, error_V, z.within);
-        const float off_V = side * root(at_most((error_V * error_V) + more_V2, SQUARE_MOST));
+        const float off_V = side * root(at_most((error_V * error_V) + more_V2, 4.0f)); /* as far as it takes */
         if ((READ(z.k, ocv_V, z.beyond) + off_V) < ocv_V) {
             below = middle;
         } else {
@@ -124,7 +124,7 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
 
 /* The SOC that the last voltage of a rest says. What the branches still hold is part of its error: they were
  * corrected by voltages that the capacity has moved, and say nothing independent of it. Its deviation is the way to
- * where the voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope tells it. */
+ * where the voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope says it. */
 static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
                             const cellwise_soh *a, cellwise_restedsoc *restedsoc)
 {

@@ -146,7 +146,7 @@ def soc_of_ocv(m: Model, place: Place, ocv_V: float, side: float, more_V2: float
         middle = 0.5 * (below + above)
         z = soc_place(place, points, middle)
         error_V = read(m, place, z.k, ERROR_V, z.within)
-        off_V = side * root(at_most((error_V * error_V) + more_V2, SQUARE_MOST))
+        off_V = side * root(at_most((error_V * error_V) + more_V2, 4.0))  # as far as it takes
         if read(m, place, z.k, OCV_V, z.beyond) + off_V < ocv_V:
             below = middle
         else:
@@ -161,7 +161,7 @@ def rested(m: Model, place: Place, x: State, a: Soh) -> RestedSoc:
 
     What the branches still hold is part of its error: they were corrected by voltages that the
     capacity has moved, and say nothing independent of it. Its deviation is the way to where the
-    voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope tells it.
+    voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope says it.
     """
     c = m.constant
     points = U(m.row.shape[1])
