@@ -94,7 +94,7 @@ static bool soh_is_sound(const cellwise_soh *a)
     if (!(SIZE_WITHIN(a->off_error, REACH_MOST) && NOT_NEGATIVE(a->soc, 1.0f))) { return false; }
     if (!(NOT_NEGATIVE(a->variance, 1.0f) && SIZE_WITHIN(a->counted, REACH_MOST))) { return false; }
     if (!(SIZE_WITHIN(a->counted_carry, CARRY_MOST) && NOT_NEGATIVE(a->moved, SINCE_MOST))) { return false; }
-    if (!(NOT_NEGATIVE(a->unsure, SINCE_MOST) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
+    if (!(NOT_NEGATIVE(a->unsure, 1.0f) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
     return NOT_NEGATIVE(a->voltage_V, LARGE) && NOT_NEGATIVE(a->held_V, LARGE);
 }
 

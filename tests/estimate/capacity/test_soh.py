@@ -138,6 +138,24 @@ def test_a_current_that_is_lost_ends_the_count():
     assert estimated(curved_cell(), replace(log, current_A=current)).pairs == 0
 
 
+@pytest.mark.parametrize("lost", [0.2, 0.4, 0.6])
+def test_samples_that_are_lost_all_the_time_are_not_counted_on(lost):
+    """Gaps too long to bridge hide one load: what they take does not average out."""
+    model = curved_cell()
+    estimator = SohEstimator(
+        FixedStep(model, replace(Noise.of_model(model), **KEPT), dt_s=DT_S, soh=True)
+    )
+    log = field_log(model, 0.8, use(LONG_S))
+    kept = np.sort(np.random.default_rng(3).choice(len(log), int(len(log) * (1.0 - lost)), False))
+    rows = samples_of(model, log, DT_S).records[kept]
+    stepper, record = estimator.filter.stepper(DT_S), estimator.begin()
+    state = stepper.state()
+    stepper.begin(state, 0.9, 0.02)
+    stepper.soh_rows(state, record, rows)
+    found = EstimatedSoh.of(record)
+    assert abs(found.share - 0.8) < 3.0 * found.share_std
+
+
 def test_a_cell_that_is_replaced_is_found_again():
     """What is known of an old cell does not refuse a new one for good."""
     model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)

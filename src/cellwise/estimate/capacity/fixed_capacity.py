@@ -128,7 +128,7 @@ def soh_is_sound(a: Soh) -> bool:
         return False
     if not (size_within(a.counted_carry, CARRY_MOST) and not_negative(a.moved, SINCE_MOST)):
         return False
-    if not (not_negative(a.unsure, SINCE_MOST) and size_within(a.current_A, LARGE)):
+    if not (not_negative(a.unsure, 1.0) and size_within(a.current_A, LARGE)):
         return False
     return not_negative(a.voltage_V, LARGE) and not_negative(a.held_V, LARGE)
 
@@ -289,7 +289,9 @@ def count_on(c: Constants, x: State, a: Soh, missing: int) -> None:
         if missing <= c.gap_steps:
             used = used + (moved_by(c, x, 0.5 * (x.current_A + a.current_A)) * F(missing))
         else:
-            a.unsure = at_most(a.unsure + c.gap_variance, SINCE_MOST)
+            # A load that many gaps hide takes the same way in all of them.
+            off = root(a.unsure) + root(c.gap_variance)
+            a.unsure = at_most(off * off, 1.0)
     a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
     a.moved = at_most(a.moved + magnitude(used), SINCE_MOST)
     if a.steps < COUNT_MOST:
