@@ -105,7 +105,6 @@
 #define SOH_APART 0x1.333334p-2f /* 0.3: SOC between two rests of a pair */
 #define SOH_SOC_VARIANCE 0x1.47ae14p-9f /* 0.0025: an OCV that says the SOC no better than to 0.05 is none */
 #define SOH_REFUSED 3u /* pairs in a row beyond the gate, then the estimate begins again */
-#define LEAST_SLOPE_V 0x1.0624dep-10f /* 0.001: of an OCV that says a SOC */
 
 /* Whether two numbers are the same. */
 static bool is_same(float a, float b)

@@ -45,13 +45,23 @@ static void begin_at_rest(cellwise_soh *a, float soc, float variance)
     a->steps = 0u;
 }
 
+/* What is stated of the share: beside the pairs' error, that of the OCV and of the model. The model's capacity is
+ * that of another sample: by as much a share of it may be none of what this cell had when it was new, however many
+ * pairs there are. */
+static void state_variance(const cellwise_constants *c, cellwise_soh *a)
+{
+    const float model = a->share * c->soh_capacity;
+    const float error = a->own_qq + ((a->share_error * a->share_error) + (model * model));
+    a->share_variance = at_most(error, SOH_VARIANCE);
+}
+
 /* What has flowed may have aged the cell. */
-static void age(cellwise_soh *a)
+static void age(const cellwise_constants *c, cellwise_soh *a)
 {
     const float more = SOH_WALK * a->moved;
     a->qq = at_most(a->qq + more, SOH_VARIANCE);
     a->own_qq = at_most(a->own_qq + more, SOH_VARIANCE);
-    a->share_variance = a->own_qq + (a->share_error * a->share_error);
+    state_variance(c, a);
     a->moved = 0.0f;
 }
 
@@ -84,12 +94,13 @@ static bool soh_is_sound(const cellwise_soh *a)
     if (!(SIZE_WITHIN(a->off_error, REACH_MOST) && NOT_NEGATIVE(a->soc, 1.0f))) { return false; }
     if (!(NOT_NEGATIVE(a->variance, 1.0f) && SIZE_WITHIN(a->counted, REACH_MOST))) { return false; }
     if (!(SIZE_WITHIN(a->counted_carry, CARRY_MOST) && NOT_NEGATIVE(a->moved, SINCE_MOST))) { return false; }
-    if (!(NOT_NEGATIVE(a->unsure, SINCE_MOST) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
+    if (!(NOT_NEGATIVE(a->unsure, 1.0f) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
     return NOT_NEGATIVE(a->voltage_V, LARGE) && NOT_NEGATIVE(a->held_V, LARGE);
 }
 
-/* Where the OCV has a voltage, within 0..1: halved down to a millionth. */
-static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, float ocv_V)
+/* Where the OCV has a voltage, within 0..1: halved down to a millionth. With a `side` of 1 or -1 the OCV is higher
+ * or lower by the deviation that the model states there, and `more_V2`. */
+static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, float ocv_V, float side, float more_V2)
 {
     const cellwise_row *const low = m->row[place->low];
     const cellwise_row *const high = m->row[place->low + 1u];
@@ -100,7 +111,9 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
         const float middle = 0.5f * (below + above);
         cellwise_socplace z;
         soc_place(place, points, middle, &z);
-        if (READ(z.k, ocv_V, z.beyond) < ocv_V) {
+        const float error_V = READ(z.k, error_V, z.within);
+        const float off_V = side * root(at_most((error_V * error_V) + more_V2, 4.0f)); /* as far as it takes */
+        if ((READ(z.k, ocv_V, z.beyond) + off_V) < ocv_V) {
             below = middle;
         } else {
             above = middle;
@@ -110,7 +123,8 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
 }
 
 /* The SOC that the last voltage of a rest says. What the branches still hold is part of its error: they were
- * corrected by voltages that the capacity has moved, and say nothing independent of it. */
+ * corrected by voltages that the capacity has moved, and say nothing independent of it. Its deviation is the way to
+ * where the voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope says it. */
 static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
                             const cellwise_soh *a, cellwise_restedsoc *restedsoc)
 {
@@ -122,22 +136,19 @@ static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place
     cellwise_socplace before;
     soc_place(place, points, x->soc, &before);
     ocv_V = ocv_V - (READ(before.k, m_V, before.within) * x->h);
-    restedsoc->soc = soc_of_ocv(m, place, ocv_V);
+    restedsoc->soc = soc_of_ocv(m, place, ocv_V, 0.0f, 0.0f);
     cellwise_socplace z;
     soc_place(place, points, restedsoc->soc, &z);
     const float missed_V = ocv_V - READ(z.k, ocv_V, z.beyond);
-    const float slope_V = RISE(z.k, ocv_V) * (float)(points - 1u);
-    const float error_V = READ(z.k, error_V, z.within);
-    float variance_V2 = error_variance(c->fixed_V2, error_V, c->ocv_soc2, slope_V) +
-        ((a->held_V * a->held_V) + (missed_V * missed_V));
+    float more_V2 = c->fixed_V2 + ((a->held_V * a->held_V) + (missed_V * missed_V));
     const float m_V = READ(z.k, m_V, z.within);
-    variance_V2 = variance_V2 + ((m_V * m_V) * x->phh);
+    more_V2 = more_V2 + ((m_V * m_V) * x->phh);
     const float beyond_V = extrapolated(c, x, 0.0f, a->held_V);
-    variance_V2 = variance_V2 + (beyond_V * beyond_V);
-    restedsoc->variance = 1.0f;
-    if (slope_V > LEAST_SLOPE_V) {
-        restedsoc->variance = clip(variance_V2 / (slope_V * slope_V), VARIANCE_FLOOR, 1.0f);
-    }
+    more_V2 = more_V2 + (beyond_V * beyond_V);
+    const float above = soc_of_ocv(m, place, ocv_V, -1.0f, more_V2) - restedsoc->soc;
+    const float below = restedsoc->soc - soc_of_ocv(m, place, ocv_V, 1.0f, more_V2);
+    const float wide = (above > below) ? above : below;
+    restedsoc->variance = clip((wide * wide) + c->ocv_soc2, VARIANCE_FLOOR, 1.0f);
 }
 
 /* What a pair of rests weighs: errors of the OCV as if each pair had its own. */
@@ -185,7 +196,7 @@ static void use_pair(const cellwise_constants *c, cellwise_soh *a, float far, fl
         const float more = root(both_soc2) - ((far * a->share_error) + (gone * a->off_error));
         a->share_error = clip(a->share_error + (w.share * more), -1.0f, 1.0f);
         a->off_error = clip(a->off_error + (w.off * more), -REACH_MOST, REACH_MOST);
-        a->share_variance = a->own_qq + (a->share_error * a->share_error);
+        state_variance(c, a);
         a->refused = 0u;
         a->pairs = a->pairs + 1u;
     }
@@ -205,7 +216,7 @@ static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, 
     cellwise_restedsoc now;
     rested(m, &place, x, a, &now);
     if (now.variance <= SOH_SOC_VARIANCE) {
-        age(a);
+        age(c, a);
         const float steps = (float)a->steps;
         const float drift = steps * c->soh_drift;
         const float both_soc2 = a->variance + now.variance;

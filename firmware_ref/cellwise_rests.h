@@ -21,7 +21,9 @@ static void count_on(const cellwise_constants *c, const cellwise_state *x, cellw
         if (missing <= c->gap_steps) {
             used = used + (moved_by(c, x, 0.5f * (x->current_A + a->current_A)) * (float)missing);
         } else {
-            a->unsure = at_most(a->unsure + c->gap_variance, SINCE_MOST);
+            /* A load that many gaps hide takes the same way in all of them. */
+            const float off = root(a->unsure) + root(c->gap_variance);
+            a->unsure = at_most(off * off, 1.0f);
         }
     }
     add(&a->counted, &a->counted_carry, -used);

@@ -1,7 +1,8 @@
 /* Capacity that is left, estimated between two rests far apart. Printed from src/cellwise/estimate by `python -m
  * cellwise.printing`; do not edit. */
 /* Where it is compiled in: cellwise_soh_step after each cellwise_step, on a record that is kept over a switch-off beside
- * the state. As the current sensor counts it: one that shows too much shows too much capacity. */
+ * the state, for the tables it was made with: cellwise_soh_init for others. As the current sensor counts it: one that
+ * shows too much shows too much capacity. */
 #ifndef CELLWISE_SOH_H
 #define CELLWISE_SOH_H
 

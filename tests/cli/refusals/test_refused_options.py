@@ -22,6 +22,12 @@ REFUSED = """
   identfy | Did you mean 'identify'?
   inspect | Add it: cellwise inspect nmc_drive_a
   convert a.csv | Add it: cellwise convert a.csv -o test.csv
+  replay --pwoer | Did you mean '--power'?
+  identify --bogus | unrecognized arguments: --bogus
+  identify a.csv --nominal-ah 3 | unrecognized arguments: a.csv
+  replay cell.json | Add it: cellwise replay nmc_drive_a --model cell.json
+  replay cell.json a.csv --power | Add it: cellwise replay a.csv --power --model cell.json
+  export cell.json | Add it: cellwise export --dt 1 -o firmware --model cell.json
   data | no ACTION; expected one of fetch
   data steal | 'steal'; expected one of fetch
   inspect a.csv --sign upside-down | 'upside-down'; expected --sign auto|charge-positive

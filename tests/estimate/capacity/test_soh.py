@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.posterior import CAPACITY, POINTS, Posterior
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.capacity.soh import EstimatedSoh, SohEstimator
@@ -97,12 +98,62 @@ def test_an_ocv_that_is_off_is_within_the_stated_deviation():
     assert abs(found.share - 0.8) < 2.0 * found.share_std
 
 
+def plateau_cell(**more):
+    """A steep OCV, a plateau from 0.03 to 0.15 SOC, a line."""
+    soc = np.linspace(0.0, 1.0, 101)
+    line_V = 3.39 + 0.8 * np.maximum(soc - 0.15, 0.0) + 0.005 * soc
+    return curved_cell(ocv_V=line_V - 12.0 * np.maximum(0.03 - soc, 0.0), **more)
+
+
+@pytest.mark.parametrize("deviations", [-1.0, 0.0, 1.0])
+def test_beside_a_plateau_a_steep_ocv_does_not_say_the_soc(deviations):
+    """A little lower, a voltage of the plateau is one of the steep part, far away in SOC."""
+    model = plateau_cell()
+    moved = model.ocv_V + deviations * model.slow_error_tables_V()
+    log = field_log(replace(model, ocv_V=moved), 0.8, use(LONG_S), soc0=0.8)
+    found = estimated(model, log, 0.8)
+    assert abs(found.share - 0.8) < 2.0 * found.share_std
+
+
+@pytest.mark.parametrize("left_open", [0.0, 0.05])
+def test_the_share_is_no_surer_than_the_capacity_of_the_model(left_open):
+    """A new cell that holds a deviation more than the model: it keeps 0.8 of its own capacity."""
+    of = Posterior(
+        (CAPACITY,), np.eye(1), np.array([left_open]), np.zeros((1, POINTS)), np.zeros((1, POINTS))
+    )
+    model = replace(curved_cell(), posterior=of)
+    more = 1.0 + model.capacity_share
+    log = field_log(model, 0.8 * more, use(LONG_S, cycles=20, hours=1.9), soc0=0.99)
+    found = estimated(model, log, 0.99)
+    assert found.share == pytest.approx(0.8 * more, abs=0.01)
+    assert abs(found.share - 0.8) < 1.5 * found.share_std
+    assert found.share_std < 1.5 * model.capacity_share
+
+
 def test_a_current_that_is_lost_ends_the_count():
     log = field_log(curved_cell(), 0.8, use(LONG_S))
     current = np.array(log.current_A)
     for first in np.flatnonzero(current)[::100]:
         current[first : first + 30] = np.nan
     assert estimated(curved_cell(), replace(log, current_A=current)).pairs == 0
+
+
+@pytest.mark.parametrize("lost", [0.2, 0.4, 0.6])
+def test_samples_that_are_lost_all_the_time_are_not_counted_on(lost):
+    """Gaps too long to bridge hide one load: what they take does not average out."""
+    model = curved_cell()
+    estimator = SohEstimator(
+        FixedStep(model, replace(Noise.of_model(model), **KEPT), dt_s=DT_S, soh=True)
+    )
+    log = field_log(model, 0.8, use(LONG_S))
+    kept = np.sort(np.random.default_rng(3).choice(len(log), int(len(log) * (1.0 - lost)), False))
+    rows = samples_of(model, log, DT_S).records[kept]
+    stepper, record = estimator.filter.stepper(DT_S), estimator.begin()
+    state = stepper.state()
+    stepper.begin(state, 0.9, 0.02)
+    stepper.soh_rows(state, record, rows)
+    found = EstimatedSoh.of(record)
+    assert abs(found.share - 0.8) < 3.0 * found.share_std
 
 
 def test_a_cell_that_is_replaced_is_found_again():

@@ -181,6 +181,23 @@ def test_an_error_that_was_seen_leaves_the_bound_what_it_may_still_do(side):
         assert low_A[seen_s] == pytest.approx(expected_A, rel=2e-3)
 
 
+@pytest.mark.parametrize("side", ["discharge", "charge"])
+def test_beyond_the_temperatures_of_the_data_an_error_that_was_seen_counts_whole(side):
+    """There a resistance is off, and what it was seen to do at one current it does at no other."""
+    slow = ModelError.of_white_and_slow(1e-6, 0.030, 1000.0, resistance_share=0.2)
+    model = linear_cell(error=slow, validity=Validity(temperature_C=(20.0, 30.0)))
+    settings = power_settings(model, horizons_s=(10.0,), limits=LIMITS, hold="current")
+    low_W = {}
+    for warm_C in (-10.0, 25.0, 50.0):
+        for seen_s in (0.0, BIAS_S):
+            now = OperatingPoint(LOADED, 0.02**2, warm_C, AS_MODEL._replace(seen_s=seen_s))
+            (able,) = settings.of(now)
+            low_W[warm_C, seen_s] = getattr(able, side).power_low_W
+    assert low_W[25.0, BIAS_S] > 1.05 * low_W[25.0, 0.0]
+    assert low_W[-10.0, BIAS_S] == low_W[-10.0, 0.0] > 0.0
+    assert low_W[50.0, BIAS_S] == low_W[50.0, 0.0] > 0.0
+
+
 def test_a_model_that_is_less_sure_promises_less():
     model = curved_cell()
     wide = replace(

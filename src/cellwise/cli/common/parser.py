@@ -13,8 +13,9 @@ from cellwise.errors import InputError
 
 REFUSED = 2
 HELP = {"-h", "--help"}
+MODEL = "MODEL"
 # What is there wherever cellwise is installed: a line that names it runs.
-AT_HAND = {"MODEL": "nmc-18650", "LOG": "nmc_drive_a", "FOLDER": "."}
+AT_HAND = {MODEL: "nmc-18650", "LOG": "nmc_drive_a", "FOLDER": "."}
 # What a command needs beside its required arguments, for a line that has no word yet.
 BESIDE = {
     "cellwise identify": ("--hppc", "nmc_hppc", "--ocv", "nmc_ocv_c20", "--nominal-ah", "5"),
@@ -46,8 +47,27 @@ class CommandParser(argparse.ArgumentParser):
             self._refuse_value(error)
         missing = [a for a in needed if getattr(parsed, a.dest, None) in (None, [])]
         if missing:
-            self._refuse_missing(missing, words)
+            given = self._models_among(missing, parsed, unknown)
+            if given:
+                words = [word for word in words if word not in given]
+                parsed, unknown = self._parsed(words, None, needed)
+                missing = [a for a in needed if getattr(parsed, a.dest, None) in (None, [])]
+            if unknown:
+                self.refuse_unknown(unknown)
+            self._refuse_missing(missing, words, given)
         return parsed, unknown
+
+    def _models_among(
+        self, missing: Sequence[argparse.Action], parsed: argparse.Namespace, unknown: Sequence[str]
+    ) -> list[str]:
+        """A model file that stands where a log does, or where nothing does, without its option."""
+        if not any(action.metavar == MODEL for action in missing):
+            return []
+        free = list(unknown)
+        for action in self._actions:
+            value = [] if action.option_strings else getattr(parsed, action.dest, None) or []
+            free += [value] if isinstance(value, str) else value
+        return [word for word in free if word.endswith(".json")][:1]
 
     def _parsed(
         self,
@@ -101,22 +121,31 @@ class CommandParser(argparse.ArgumentParser):
         way_out = f"Did you mean '{like[0]}'?" if like else f"Correct it: {self.prog} --help"
         self.refuse(found, expected, way_out)
 
-    def _refuse_missing(self, missing: Sequence[argparse.Action], words: list[str]) -> NoReturn:
+    def _refuse_missing(
+        self, missing: Sequence[argparse.Action], words: list[str], given: list[str]
+    ) -> NoReturn:
         """Refuse a line without what its command needs, and write the line that has it."""
         names = " and no ".join(_name(action) for action in missing)
         expected = ", and ".join(_described(action) for action in missing)
-        line = self._completed(missing, words)
+        line = self._completed(missing, words, given)
         action = f"Add it: {line}" if line else f"See {self.prog} --help"
         self.refuse(f"no {names}", expected, action)
 
-    def _completed(self, missing: Sequence[argparse.Action], words: list[str]) -> str:
-        """The line with what it lacks, as it runs anywhere; empty where nothing would."""
+    def _completed(
+        self, missing: Sequence[argparse.Action], words: list[str], given: list[str]
+    ) -> str:
+        """The line with what it lacks, as it runs anywhere; empty where nothing would.
+
+        ``given`` is a model file of the line that had no option.
+        """
         shown = shlex.split(self.examples[0])[1:] if self.examples else []
         before: list[str] = []
         behind: list[str] = []
         for action in missing:
             name = action.option_strings[0] if action.option_strings else ""
             value = AT_HAND.get(str(action.metavar)) if action.dest != "output" else None
+            if given and action.metavar == MODEL:
+                value = given[0]
             if value is None and name in shown:
                 value = shown[shown.index(name) + 1]
             if value is None:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.equations.evidence import error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
@@ -28,7 +27,6 @@ from cellwise.estimate.fixed.lookup import (
     Place,
     place_now,
     read,
-    rise,
     soc_place,
 )
 from cellwise.estimate.fixed.state import taken
@@ -74,12 +72,23 @@ def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
     a.steps = U(0)
 
 
-def age(a: Soh) -> None:
+def state_variance(c: Constants, a: Soh) -> None:
+    """What is stated of the share: beside the pairs' error, that of the OCV and of the model.
+
+    The model's capacity is that of another sample: by as much a share of it may be none of what
+    this cell had when it was new, however many pairs there are.
+    """
+    model = a.share * c.soh_capacity
+    error = a.own_qq + ((a.share_error * a.share_error) + (model * model))
+    a.share_variance = at_most(error, SOH_VARIANCE)
+
+
+def age(c: Constants, a: Soh) -> None:
     """What has flowed may have aged the cell."""
     more = SOH_WALK * a.moved
     a.qq = at_most(a.qq + more, SOH_VARIANCE)
     a.own_qq = at_most(a.own_qq + more, SOH_VARIANCE)
-    a.share_variance = a.own_qq + (a.share_error * a.share_error)
+    state_variance(c, a)
     a.moved = 0.0
 
 
@@ -119,20 +128,26 @@ def soh_is_sound(a: Soh) -> bool:
         return False
     if not (size_within(a.counted_carry, CARRY_MOST) and not_negative(a.moved, SINCE_MOST)):
         return False
-    if not (not_negative(a.unsure, SINCE_MOST) and size_within(a.current_A, LARGE)):
+    if not (not_negative(a.unsure, 1.0) and size_within(a.current_A, LARGE)):
         return False
     return not_negative(a.voltage_V, LARGE) and not_negative(a.held_V, LARGE)
 
 
-def soc_of_ocv(m: Model, place: Place, ocv_V: float) -> float:
-    """Where the OCV has a voltage, within 0..1: halved down to a millionth."""
+def soc_of_ocv(m: Model, place: Place, ocv_V: float, side: float, more_V2: float) -> float:
+    """Where the OCV has a voltage, within 0..1: halved down to a millionth.
+
+    With a ``side`` of 1 or -1 the OCV is higher or lower by the deviation that the model states
+    there, and ``more_V2``.
+    """
     points = U(m.row.shape[1])
     below = 0.0
     above = 1.0
     for _ in range(20):
         middle = 0.5 * (below + above)
         z = soc_place(place, points, middle)
-        if read(m, place, z.k, OCV_V, z.beyond) < ocv_V:
+        error_V = read(m, place, z.k, ERROR_V, z.within)
+        off_V = side * root(at_most((error_V * error_V) + more_V2, 4.0))  # as far as it takes
+        if read(m, place, z.k, OCV_V, z.beyond) + off_V < ocv_V:
             below = middle
         else:
             above = middle
@@ -145,7 +160,8 @@ def rested(m: Model, place: Place, x: State, a: Soh) -> RestedSoc:
     """The SOC that the last voltage of a rest says.
 
     What the branches still hold is part of its error: they were corrected by voltages that the
-    capacity has moved, and say nothing independent of it.
+    capacity has moved, and say nothing independent of it. Its deviation is the way to where the
+    voltage is one of the OCV's deviations off, the longer one: beside a plateau no slope says it.
     """
     c = m.constant
     points = U(m.row.shape[1])
@@ -154,23 +170,21 @@ def rested(m: Model, place: Place, x: State, a: Soh) -> RestedSoc:
         before = soc_place(place, points, x.soc)
         for i in (H,):
             ocv_V = ocv_V - (read(m, place, before.k, M_V, before.within) * x.state[i])
-    soc = soc_of_ocv(m, place, ocv_V)
+    soc = soc_of_ocv(m, place, ocv_V, 0.0, 0.0)
     z = soc_place(place, points, soc)
     missed_V = ocv_V - read(m, place, z.k, OCV_V, z.beyond)
-    slope_V = rise(m, place, z.k, OCV_V) * F(points - 1)
-    error_V = read(m, place, z.k, ERROR_V, z.within)
-    variance_V2 = error_variance(c.fixed_V2, error_V, c.ocv_soc2, slope_V)
-    variance_V2 = variance_V2 + ((a.held_V * a.held_V) + (missed_V * missed_V))
+    more_V2 = c.fixed_V2 + ((a.held_V * a.held_V) + (missed_V * missed_V))
     if HYSTERESIS:
         m_V = read(m, place, z.k, M_V, z.within)
         for i in (H,):
-            variance_V2 = variance_V2 + ((m_V * m_V) * x.p[i, i])
+            more_V2 = more_V2 + ((m_V * m_V) * x.p[i, i])
     if VALIDITY:
         beyond_V = extrapolated(c, x, 0.0, a.held_V)
-        variance_V2 = variance_V2 + (beyond_V * beyond_V)
-    variance = 1.0
-    if slope_V > LEAST_SLOPE_V:
-        variance = clip(variance_V2 / (slope_V * slope_V), VARIANCE_FLOOR, 1.0)
+        more_V2 = more_V2 + (beyond_V * beyond_V)
+    above = soc_of_ocv(m, place, ocv_V, -1.0, more_V2) - soc
+    below = soc - soc_of_ocv(m, place, ocv_V, 1.0, more_V2)
+    wide = above if above > below else below
+    variance = clip((wide * wide) + c.ocv_soc2, VARIANCE_FLOOR, 1.0)
     return RestedSoc(soc, variance)
 
 
@@ -223,7 +237,7 @@ def use_pair(
         more = root(both_soc2) - ((far * a.share_error) + (gone * a.off_error))
         a.share_error = clip(a.share_error + (w.share * more), -1.0, 1.0)
         a.off_error = clip(a.off_error + (w.off * more), -REACH_MOST, REACH_MOST)
-        a.share_variance = a.own_qq + (a.share_error * a.share_error)
+        state_variance(c, a)
         a.refused = U(0)
         a.pairs = U(a.pairs + 1)
 
@@ -242,7 +256,7 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
     place = place_now(m, x)
     now = rested(m, place, x, a)
     if now.variance <= SOH_SOC_VARIANCE:
-        age(a)
+        age(c, a)
         steps = F(a.steps)
         drift = steps * c.soh_drift
         both_soc2 = a.variance + now.variance
@@ -275,7 +289,9 @@ def count_on(c: Constants, x: State, a: Soh, missing: int) -> None:
         if missing <= c.gap_steps:
             used = used + (moved_by(c, x, 0.5 * (x.current_A + a.current_A)) * F(missing))
         else:
-            a.unsure = at_most(a.unsure + c.gap_variance, SINCE_MOST)
+            # A load that many gaps hide takes the same way in all of them.
+            off = root(a.unsure) + root(c.gap_variance)
+            a.unsure = at_most(off * off, 1.0)
     a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
     a.moved = at_most(a.moved + magnitude(used), SINCE_MOST)
     if a.steps < COUNT_MOST:

@@ -118,7 +118,6 @@ SOH_WALK = F(1e-5)  # and per SOC that flows: 0.1 over 500 cycles of two each
 SOH_APART = F(0.3)  # SOC between two rests of a pair
 SOH_SOC_VARIANCE = F(0.0025)  # an OCV that says the SOC no better than to 0.05 is none
 SOH_REFUSED = U(3)  # pairs in a row beyond the gate, then the estimate begins again
-LEAST_SLOPE_V = F(1e-3)  # of an OCV that says a SOC
 
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
 

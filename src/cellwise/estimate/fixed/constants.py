@@ -119,6 +119,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "rest_steps": np.ceil(OFFSET_REST_S / dt_s),
         "soh_rest_A": SOH_REST_RATE * model.capacity_Ah,
         "soh_steps": np.ceil(SOH_REST_S / dt_s),
+        "soh_capacity": model.capacity_share,
         "soh_drift": noise.offset_share * dt_s / 3600.0,
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),

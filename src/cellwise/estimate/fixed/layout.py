@@ -145,6 +145,7 @@ CONSTANTS = (
     Field("cell_recovery", "rejections in a row, then a cell's SOC is unknown", "CELLS", "u4"),
     Field("soh_rest_A", "below it a cell rests, to millivolts,", "SOH"),
     Field("soh_steps", "and after so many steps its voltage is the OCV", "SOH", "u4"),
+    Field("soh_capacity", "by what share of the model's a cell's may differ when new", "SOH"),
     Field("soh_drift", "SOC that an offset of one deviation takes in one step", "SOH"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import kernel, part, rows
+from cellwise.cell.compiled import inline, kernel, part, rows
 from cellwise.cell.equations import CellTables, with_soc
+from cellwise.cell.equations.scalar import distance_beyond
 from cellwise.cell.packed import changed, record_at
+from cellwise.cell.plausibility.validity_kernels import ValidityScalars
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.load_kernels import (
     BIAS_S,
@@ -108,6 +110,17 @@ def led_to(q: Question, load: float, soc: float) -> LoadedState:
     )
 
 
+@inline
+def is_known(valid: ValidityScalars, now: OperatingPoint) -> bool:
+    """Whether what ``BIAS_S`` of voltages have shown of the model's error is so of the next load.
+
+    Not beyond the temperatures of its data: there the resistances are off, and an error that was
+    seen at one current is another one at the next.
+    """
+    inside = distance_beyond(now.temperature_C, valid.cold_C, valid.warm_C) == 0.0
+    return inside and now.but.seen_s >= BIAS_S
+
+
 @part
 def known_slope_V(q: Question) -> float:
     """Of the voltage at no load over SOC, where ``BIAS_S`` of voltages have been seen; else 0.
@@ -115,7 +128,7 @@ def known_slope_V(q: Question) -> float:
     A SOC that is off has moved these as well, and the bias has taken that away.
     """
     now = q.now
-    if not q.sigmas > 0.0 or now.but.seen_s < BIAS_S:
+    if not q.sigmas > 0.0 or not is_known(q.noise.valid, now):
         return 0.0
     here = moment_of(q.tables, now.cell, 0.0, False, now.temperature_C, now.but)
     off_soc = q.side * q.sigmas * math.sqrt(now.soc_variance)
@@ -264,7 +277,7 @@ def power_rows(
     down, down_low, up, up_low = 0.0, 0.0, 0.0, 0.0
     for k in range(present.shape[0]):
         now = present_at(present, k)
-        tables, noise = seen if now.but.seen_s >= BIAS_S else unseen
+        tables, noise = seen if is_known(unseen.noise.valid, now) else unseen
         for way in range(2):
             side = 1.0 - 2.0 * way
             value = Question(tables, noise, limits, now, power, horizon_s, side, 0.0)
