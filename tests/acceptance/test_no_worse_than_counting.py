@@ -69,7 +69,7 @@ def from_known(model, logs, name):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-@pytest.mark.parametrize("tag", missed(CHAMBER_C, p10="0.33 points in one drive"))
+@pytest.mark.parametrize("tag", CHAMBER_C)
 def test_from_a_known_start(nca, tag, name):
     model, drives = nca
     counted = from_known(model, drives[tag], "coulomb")
