@@ -160,13 +160,15 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
         }
     }
     hold_within(&of[0u]);
+    float within = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
         if (of[k + 1u].cost < GIVEN_UP) {
             collect(&of[0u], &of[k + 1u]);
+            within = within + (of[k + 1u].weight * of[k + 1u].ss);
         }
     }
     of[0u].mismatch = b->mismatch;
-    if ((of[0u].ss <= WIDE_VARIANCE) && (b->looks == LOOKS)) {
+    if (((of[0u].ss - within) <= WIDE_VARIANCE) && (b->looks == LOOKS)) {
         b->spread = 0u;
     }
 }

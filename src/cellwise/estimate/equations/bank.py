@@ -191,11 +191,13 @@ def gather(b: Bank, of: States, count: int) -> None:
         if of[k + 1].cost < GIVEN_UP:  # else dropped: nobody looks after its memory
             collect_mean(of[0], of[k + 1])
     hold_within(of[0])  # weights add up to one but for rounding
+    within = 0.0
     for k in range(count):
         if of[k + 1].cost < GIVEN_UP:
             collect(of[0], of[k + 1])
+            within = within + (of[k + 1].weight * of[k + 1].ss)
     of[0].mismatch = b.mismatch
-    if of[0].ss <= WIDE_VARIANCE and b.looks == LOOKS:
+    if of[0].ss - within <= WIDE_VARIANCE and b.looks == LOOKS:
         b.spread = U(0)
 
 
