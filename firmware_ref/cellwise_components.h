@@ -51,6 +51,7 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
     stand_alone(&of[0u]);
     b->spread = 1u;
     b->mismatch = of[0u].mismatch;
+    b->rejections = 0.0f;
     weigh_components(of, count, least);
 }
 
@@ -74,6 +75,7 @@ static void begin_bank(cellwise_bank *b, cellwise_state *of, uint32_t count)
     b->mean_A = 0.0f;
     b->looked_A = 0.0f;
     b->mismatch = 1.0f;
+    b->rejections = 0.0f;
     if ((count > 1u) && (of[0u].ss > WIDE_VARIANCE)) {
         spread_out(b, of, count);
     }
@@ -158,13 +160,15 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
         }
     }
     hold_within(&of[0u]);
+    float within = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
         if (of[k + 1u].cost < GIVEN_UP) {
             collect(&of[0u], &of[k + 1u]);
+            within = within + (of[k + 1u].weight * of[k + 1u].ss);
         }
     }
     of[0u].mismatch = b->mismatch;
-    if ((of[0u].ss <= WIDE_VARIANCE) && (b->looks == LOOKS)) {
+    if (((of[0u].ss - within) <= WIDE_VARIANCE) && (b->looks == LOOKS)) {
         b->spread = 0u;
     }
 }
