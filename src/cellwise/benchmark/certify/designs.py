@@ -41,10 +41,10 @@ UNKNOWN_CAPACITY = 0.03  # of a data sheet's: between its minimum and its typica
 # Steps: what is asked for, its code in bytes and its mean instructions on a Cortex-M4F, of three
 # states, as counted for benchmarks/results/firmware.json.
 STEPS: dict[str, tuple[dict[str, Any], int, int]] = {
-    "lean": ({"wide": False}, 2132, 403),
-    "wide": ({"components": 1}, 7622, 773),
-    "offset": ({"components": 1, "offset": True}, 8606, 1037),
-    "bank": ({}, 7622, 7711),
+    "lean": ({"wide": False}, 2160, 401),
+    "wide": ({"components": 1}, 7786, 791),
+    "offset": ({"components": 1, "offset": True}, 8690, 1051),
+    "bank": ({}, 7786, 7826),
 }
 POINTS = (11, 21, 51)  # of the tables over SOC
 # Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten
