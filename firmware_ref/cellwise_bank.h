@@ -5,10 +5,9 @@
 
 #include "cellwise_past.h"
 
-/* Every component by its own step, the likeliest first: all share what it says of the noise. A voltage that all
- * together do not explain counts as rejected for `turn_of`. */
+/* Every component by its own step, the likeliest first: all share what it says of the noise. */
 static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
-                                const cellwise_input *sample, cellwise_output *out, float turn_of)
+                                const cellwise_input *sample, cellwise_output *out)
 {
     const cellwise_constants *const c = &m->constant;
     float error_V2 = 0.0f;
@@ -45,9 +44,6 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
         const float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
         if (ratio > c->gate_square) {
             status = status | CELLWISE_INNOVATION_REJECTED;
-            b->rejections = b->rejections + turn_of;
-        } else {
-            b->rejections = 0.0f;
         }
         b->mismatch = lately_shown(b->mismatch, at_most(ratio, c->mismatch_cap), c->lately);
     }
@@ -67,12 +63,11 @@ static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t c
     return least;
 }
 
-/* One time step of components that do not agree yet: the status. Where `is_contradicted` afterwards, they have to
- * begin again. */
+/* One time step of components that do not agree yet: the status. */
 static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                             const cellwise_input *sample, cellwise_output *out, float elapsed, bool lost)
 {
-    uint32_t status = step_components(m, b, of, count, sample, out, at_most(elapsed, 1.0f));
+    uint32_t status = step_components(m, b, of, count, sample, out);
     look_back(m, b, of, count, elapsed, lost);
     if (has_voltage(&of[b->likeliest])) {
         weigh_components(of, count, likeliest_of(b, of, count));
@@ -81,16 +76,6 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
         status = cellwise_step(m, &of[0u], sample, out);
     }
     return status;
-}
-
-/* Whether no component has explained a voltage for too long: none is where the cell is. */
-static bool is_contradicted(const cellwise_model *m, cellwise_bank *b)
-{
-    bool contradicted = false;
-    if (b->rejections >= (float)m->constant.recovery_after) {
-        contradicted = true;
-    }
-    return contradicted;
 }
 
 /* Whether nobody knows what flowed, one filter is not enough, and a voltage is there. */
@@ -110,7 +95,7 @@ static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t c
     if (!NOT_NEGATIVE(b->mismatch, LARGE) || !NOT_NEGATIVE(b->since, SINCE_MOST)) {
         good = false;
     }
-    if (!NOT_NEGATIVE(b->next_look, SINCE_MOST) || !NOT_NEGATIVE(b->rejections, SINCE_MOST)) {
+    if (!NOT_NEGATIVE(b->next_look, SINCE_MOST)) {
         good = false;
     }
     if ((b->likeliest < 1u) || (b->likeliest > count)) {
@@ -133,20 +118,6 @@ static uint32_t know_nothing(const cellwise_model *m, cellwise_bank *b, cellwise
     start(&m->constant, &of[0u], KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
     begin_bank(b, of, count);
     return CELLWISE_STATE_RESET;
-}
-
-/* Voltages that no component explains for long: the SOC is open, as with one filter. */
-static uint32_t begin_again(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count)
-{
-    cellwise_state *const x = &of[0u];
-    cellwise_place place;
-    place_now(m, x, &place);
-    cellwise_point p;
-    look_up(m, &place, x->soc, x->current_A, &p);
-    recover(&m->constant, x, &p, x->current_A);
-    x->mismatch = 1.0f;
-    spread_again(b, of, count);
-    return CELLWISE_GATE_RECOVERY;
 }
 
 uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, float soc,
@@ -178,9 +149,6 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
         status = step_spread(m, b, of, count, sample, out, (float)elapsed, elapsed > 1u);
         if (!bank_is_sound(b, of, count)) {
             damaged = know_nothing(m, b, of, count);
-        } else if (is_contradicted(m, b)) {
-            status = status | begin_again(m, b, of, count);
-        } else { /* as before */
         }
     }
     status = status | damaged;

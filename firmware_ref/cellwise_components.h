@@ -51,7 +51,6 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
     stand_alone(&of[0u]);
     b->spread = 1u;
     b->mismatch = of[0u].mismatch;
-    b->rejections = 0.0f;
     weigh_components(of, count, least);
 }
 
@@ -75,7 +74,6 @@ static void begin_bank(cellwise_bank *b, cellwise_state *of, uint32_t count)
     b->mean_A = 0.0f;
     b->looked_A = 0.0f;
     b->mismatch = 1.0f;
-    b->rejections = 0.0f;
     if ((count > 1u) && (of[0u].ss > WIDE_VARIANCE)) {
         spread_out(b, of, count);
     }
@@ -149,7 +147,8 @@ static void collect(cellwise_state *x, cellwise_state *a)
     x->persistent = x->persistent + (a->weight * a->persistent);
 }
 
-/* The estimate: mean and covariance of the whole bank; the rest is the likeliest one's. */
+/* The estimate: mean and covariance of the whole bank; the rest is the likeliest one's. Where the components agree,
+ * however unsure each is, it goes on alone. */
 static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
     of[0u] = of[b->likeliest];

@@ -122,7 +122,6 @@ typedef struct {
     float since; /* steps since the start */
     uint32_t looks; /* how often the past has been looked at */
     float next_look; /* when it is next */
-    float rejections; /* steps that no component explained, in a row */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 

@@ -38,11 +38,9 @@ from cellwise.estimate.filters.component_kernels import (
 )
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import BankState, Ekf, Ukf
-from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
-from cellwise.estimate.status import GATE_RECOVERY
 from cellwise.logs.cell_log import CellLog
 
 R3_OHM, TAU3_S = 0.02, 300.0
@@ -320,29 +318,6 @@ def test_lockstep_looks_as_the_filter_does():
         both = np.full(2, log.current_A[k]), np.full(2, log.voltage_V[k])
         many, _ = fleet.step(many, *both, 25.0)
     np.testing.assert_allclose(fleet.cell_state(many, 0).soc, one.soc, rtol=1e-9)
-
-
-def shifted_beyond_every_component(shift_V: float) -> tuple[CellModel, CellLog]:
-    """A cell whose OCV hardly tells its SOC; after a minute its voltage is another one for good."""
-    flat = replace(linear(), ocv_V=np.linspace(3.60, 3.62, 11))
-    time_s = np.arange(240.0)
-    log = CellLog(time_s, np.ones(240), np.full(240, 3.6), temperature_C=np.full(240, 25.0))
-    voltage_V = np.array(simulate(flat, log, 0.5).voltage_V)
-    voltage_V[60:] += shift_V
-    return flat, replace(log, voltage_V=voltage_V)
-
-
-@pytest.mark.parametrize("shift_V", [0.3, -0.3])
-@pytest.mark.parametrize("estimator", [Ekf, Ukf, lambda model: FixedStep(model, dt_s=1.0)])
-def test_components_that_explain_no_voltage_begin_again(estimator, shift_V):
-    """An open bank rejects nothing: without this it would stay where it is, and say so surely."""
-    model, log = shifted_beyond_every_component(shift_V)
-    run = estimator(model).run(log, 0.5, soc0_std=0.3)
-    assert run.soc_std[59] > 0.02  # it is open
-    after = Noise.of_model(model).recovery_after
-    lost = np.flatnonzero(np.asarray(run.status) & GATE_RECOVERY)
-    assert lost.size > 0
-    assert lost[0] == 60 + after - 1
 
 
 def test_a_bank_closes_where_its_components_agree_however_unsure_each_is():

@@ -120,7 +120,6 @@ def spread_out(b: Bank, of: States, count: int) -> None:
     stand_alone(of[0])
     b.spread = U(1)
     b.mismatch = of[0].mismatch
-    b.rejections = 0.0
     weigh_components(of, count, least)
 
 
@@ -143,7 +142,6 @@ def begin_bank(b: Bank, of: States, count: int) -> None:
     b.mean_A = 0.0
     b.looked_A = 0.0
     b.mismatch = 1.0
-    b.rejections = 0.0
     if count > U(1) and of[0].ss > WIDE_VARIANCE:
         spread_out(b, of, count)
 
@@ -184,7 +182,10 @@ def collect(x: State, a: State) -> None:
 
 @part
 def gather(b: Bank, of: States, count: int) -> None:
-    """The estimate: mean and covariance of the whole bank; the rest is the likeliest one's."""
+    """The estimate: mean and covariance of the whole bank; the rest is the likeliest one's.
+
+    Where the components agree, however unsure each is, it goes on alone.
+    """
     of[0] = of[U(b.likeliest)]
     clear(of[0])
     for k in range(count):
@@ -308,13 +309,8 @@ def look_back(m: Model, b: Bank, of: States, count: int, elapsed: float, lost: b
 
 
 @part
-def step_components(
-    m: Model, b: Bank, of: States, count: int, sample: Sample, out: Output, turn_of: float
-) -> int:
-    """Every component by its own step, the likeliest first: all share what it says of the noise.
-
-    A voltage that all together do not explain counts as rejected for ``turn_of``.
-    """
+def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Output) -> int:
+    """Every component by its own step, the likeliest first: all share what it says of the noise."""
     c = m.constant
     error_V2 = 0.0
     status = U(0)
@@ -346,9 +342,6 @@ def step_components(
         ratio = (out.innovation_V * out.innovation_V) / out.innovation_variance_V2
         if ratio > c.gate_square:
             status = U(status | INNOVATION_REJECTED)
-            b.rejections = b.rejections + turn_of
-        else:
-            b.rejections = 0.0
         b.mismatch = lately_shown(b.mismatch, at_most(ratio, c.mismatch_cap), c.lately)
     return status
 
@@ -375,11 +368,8 @@ def step_spread(
     elapsed: float,
     lost: bool,
 ) -> int:
-    """One time step of components that do not agree yet: the status.
-
-    Where :func:`is_contradicted` afterwards, they have to begin again.
-    """
-    status = step_components(m, b, of, count, sample, out, at_most(elapsed, 1.0))
+    """One time step of components that do not agree yet: the status."""
+    status = step_components(m, b, of, count, sample, out)
     look_back(m, b, of, count, elapsed, lost)
     if has_voltage(of[U(b.likeliest)]):
         weigh_components(of, count, likeliest_of(b, of, count))
@@ -387,12 +377,3 @@ def step_spread(
     else:  # as it was stated
         status = step(m, of[0], sample, out)
     return status
-
-
-@part
-def is_contradicted(m: Model, b: Bank) -> bool:
-    """Whether no component has explained a voltage for too long: none is where the cell is."""
-    contradicted = False
-    if b.rejections >= F(m.constant.recovery_after):
-        contradicted = True
-    return contradicted

@@ -14,7 +14,7 @@ from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import CellTables, loaded
 from cellwise.cell.packed import changed, put_record, record_at, records_in
 from cellwise.cell.unrolled import ByState, unrolled
-from cellwise.estimate.equations.bank import begin_bank, is_contradicted, spread_again, step_spread
+from cellwise.estimate.equations.bank import begin_bank, spread_again, step_spread
 from cellwise.estimate.equations.constants import (
     LOAD_LIMIT_V,
     RECOVERY_RATE,
@@ -40,7 +40,7 @@ COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
 # record has the fields of the fixed step's, and behind them what a step has predicted.
 BANK_FIELDS = (
     *("spread", "likeliest", "mismatch", "since", "mean_A", "looked_A", "looks", "next_look"),
-    *("voltage_V", "innovation_V", "innovation_variance_V2", "rejections"),
+    *("voltage_V", "innovation_V", "innovation_variance_V2"),
 )
 BANK = np.dtype([(name, np.float64) for name in BANK_FIELDS])
 RECORD = -1  # the last row
@@ -138,10 +138,6 @@ def step_bank(
     reading = read_sample(tables, noise, likeliest.watch, start.temperature_C, sample)
     m = BankModel(step_constants(tables.cell, noise, reading.dt_s), tables, noise, sigma, start)
     status = step_spread(m, b, of, count_of(bank), reading, b, reading.dt_s, reading.gap)
-    if is_contradicted(m, b):
-        status |= GATE_RECOVERY
-        state = changed(state_in(bank, 0), "mismatch", 1.0)
-        begin_again(tables, start, bank, state, status)
     now = state_in(bank, 0)
     known = now.p.ss + drift_variance(now.drift)
     std = stated_deviation(known, now.mismatch, now.persistent, now.contradicted)

@@ -5,14 +5,13 @@ The bank itself is :mod:`cellwise.estimate.equations.bank`, as in the filters of
 
 from __future__ import annotations
 
-from cellwise.estimate.equations.bank import begin_bank, is_contradicted, spread_again, step_spread
+from cellwise.estimate.equations.bank import begin_bank, spread_again, step_spread
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import look_up, place_now
 from cellwise.estimate.fixed.sensing import variance_of
 from cellwise.estimate.fixed.state import start
-from cellwise.estimate.fixed.step import begin_at, recover, step
-from cellwise.estimate.status import GATE_RECOVERY, STATE_RESET
+from cellwise.estimate.fixed.step import begin_at, step
+from cellwise.estimate.status import STATE_RESET
 
 
 def is_lost(x: State) -> bool:
@@ -28,7 +27,7 @@ def bank_is_sound(b: Bank, of: States, count: int) -> bool:
     good = within(b.mean_A, -LARGE, LARGE) and within(b.looked_A, -LARGE, LARGE)
     if not not_negative(b.mismatch, LARGE) or not not_negative(b.since, SINCE_MOST):
         good = False
-    if not not_negative(b.next_look, SINCE_MOST) or not not_negative(b.rejections, SINCE_MOST):
+    if not not_negative(b.next_look, SINCE_MOST):
         good = False
     if b.likeliest < U(1) or b.likeliest > count:
         good = False
@@ -45,17 +44,6 @@ def know_nothing(m: Model, b: Bank, of: States, count: int) -> int:
     start(m.constant, of[0], KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
     begin_bank(b, of, count)
     return U(STATE_RESET)
-
-
-def begin_again(m: Model, b: Bank, of: States, count: int) -> int:
-    """Voltages that no component explains for long: the SOC is open, as with one filter."""
-    x = of[0]
-    place = place_now(m, x)
-    p = look_up(m, place, x.soc, x.current_A)
-    recover(m.constant, x, p, x.current_A)
-    x.mismatch = 1.0
-    spread_again(b, of, count)
-    return U(GATE_RECOVERY)
 
 
 def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_variance: float) -> int:
@@ -90,8 +78,6 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
         status = step_spread(m, b, of, count, sample, out, F(elapsed), elapsed > U(1))
         if not bank_is_sound(b, of, count):
             damaged = know_nothing(m, b, of, count)
-        elif is_contradicted(m, b):
-            status = U(status | begin_again(m, b, of, count))
     status = U(status | damaged)
     out.soc = of[0].soc
     out.soc_variance = variance_of(of[0], of[0].ss)

@@ -225,7 +225,6 @@ RECORDS = {
         Field("since", "steps since the start"),
         Field("looks", "how often the past has been looked at", "", "u4"),
         Field("next_look", "when it is next"),
-        Field("rejections", "steps that no component explained, in a row"),
         Field("sequence", "of the last sample", "", "u4"),
     ),
     "Sample": (
