@@ -2,6 +2,7 @@
  * on a Cortex-M4F, and three times the stack. Printed from src/cellwise/estimate by `python -m cellwise.printing`;
  * do not edit. */
 #include "cellwise_ekf.h"
+#include "cellwise_soh.h"
 #include "cellwise_float.h"
 #include "cellwise_arithmetic.h"
 #include "cellwise_scalar.h"

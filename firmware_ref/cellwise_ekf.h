@@ -246,5 +246,4 @@ void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x, const
 }
 #endif
 
-#include "cellwise_soh.h"
 #endif

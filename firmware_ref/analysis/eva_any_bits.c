@@ -1,6 +1,7 @@
 /* Frama-C Eva: whatever bits stand in state and input, a step has no undefined behaviour and its
  * outputs are finite and in range; nor has the step after it. */
 #include "cellwise_cell.h"
+#include "cellwise_soh.h"
 
 #define WORDS (sizeof(cellwise_state) / sizeof(float))
 

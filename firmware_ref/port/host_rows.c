@@ -1,5 +1,6 @@
 /* Many steps in one call: for the host library and the page only. */
 #include "../cellwise_ekf.h"
+#include "../cellwise_soh.h"
 
 void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
                    cellwise_output *out, uint32_t samples);

@@ -10,6 +10,7 @@
 #include <stddef.h>
 
 #include "cellwise_cell.h"
+#include "cellwise_soh.h"
 #include "semihosting.h"
 #include "ticks.h"
 

@@ -161,7 +161,8 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     name = "port/host_rows.c"
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
-        text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"port/{prefix}_host_rows.c"]
+        headers = {"cellwise_ekf.h": "", "cellwise_soh.h": ""}
+        text = prefixed({name: text, **headers}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"
     parts = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c")

@@ -290,7 +290,7 @@ def print_files(options: Options) -> dict[str, str]:
         ]  # fmt: skip
         found[f"cellwise_{name}.h"] = "\n".join(text)
         before = name
-    includes = [f'#include "cellwise_{name}.h"' for name in ("ekf", "float", *parts)]
+    includes = [f'#include "cellwise_{name}.h"' for name in ("ekf", "soh", "float", *parts)]
     found["cellwise_ekf.c"] = "\n".join([*headed(WHOLE), *includes, ""])
     return found
 
