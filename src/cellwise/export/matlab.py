@@ -22,7 +22,7 @@ OPERATORS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
     ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "~=", ast.And: "&&", ast.Or: "||",
 }  # fmt: skip
-CONVERSIONS = {"F": "single", "U": "u32", "abs": "abs", "magnitude": "abs"}
+CONVERSIONS = {"F": "single", "U": "u32", "Count": "u32", "abs": "abs", "magnitude": "abs"}
 RESULT = "r_"
 
 
