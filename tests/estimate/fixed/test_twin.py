@@ -46,7 +46,8 @@ def test_layouts_are_the_compilers(case, tmp_path):
                 f'printf("{name}.{field} %u\\n", (unsigned)offsetof(cellwise_{name}, {field}));'
             )
             expected.append(f"{name}.{field} {kind.fields[field][1]}")
-    program = '#include <stddef.h>\n#include <stdio.h>\n#include "cellwise_cell.h"\n'
+    headers = ("<stddef.h>", "<stdio.h>", '"cellwise_cell.h"', '"cellwise_soh.h"')
+    program = "".join(f"#include {name}\n" for name in headers)
     program += "int main(void)\n{\n" + "\n".join(lines) + "\nreturn 0;\n}\n"
     assert compile_and_run(tables, tmp_path, program).split("\n")[:-1] == expected
 
