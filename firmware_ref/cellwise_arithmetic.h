@@ -15,6 +15,7 @@
 #define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more, whatever its resistance */
 #define START_LOAD_SHARE 0.5f
 #define NO_LIMIT_V 1000.0f /* no cell's branch holds that */
+#define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
 #define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12: of the SOC: rounding takes no more away */
 #define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond 2 points of SOC the tangent is no guide */
 #define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06: of the SOC: both ends are beyond the same end of the tables */
@@ -57,7 +58,6 @@
 #define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
 #define BEYOND 0x1.99999ap-5f /* 0.05: how far the OCV goes on outside 0..1 */
 #define HEAT_MOST_K 200.0f
-#define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
 #define CARRY_MOST 0x1p-10f
 #define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
 #define LONGEST_GAP 0x100000u /* samples */

@@ -3,51 +3,39 @@
 #ifndef CELLWISE_BANK_H
 #define CELLWISE_BANK_H
 
-#include "cellwise_past.h"
+#include "cellwise_block.h"
 
-/* Every component by its own step, the likeliest first: all share what it says of the noise. */
-static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
-                                const cellwise_input *sample, cellwise_output *out)
+/* Every component over the block that ends now, and what they have expected together. */
+static void step_components(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool begins,
+                            bool alone)
 {
     const cellwise_constants *const c = &m->constant;
-    float error_V2 = 0.0f;
-    uint32_t status = 0u;
-    float first_V = 0.0f;
+    cellwise_place place;
+    place_now(m, &of[0u], &place);
+    cellwise_point p;
+    look_up(m, &place, of[0u].soc, b->block_A, &p);
+    cellwise_movement o;
+    movement_of(m, b, &of[0u], &p, &o);
+    cellwise_block block;
+    block_of(m, b, &of[0u], of[b->likeliest].soc, &place, &p, alone, &block);
     float mean_V = 0.0f;
     float square_V2 = 0.0f;
     float variance_V2 = 0.0f;
-    for (uint32_t turn = 0u; turn < count; turn++) {
-        uint32_t k = b->likeliest;
-        if (turn > 0u) {
-            k = (turn <= (b->likeliest - 1u)) ? turn : (turn + 1u);
-        }
-        if (of[k].cost < GIVEN_UP) {
-            of[k].error_V2 = error_V2;
-            of[k].mismatch = b->mismatch;
-            const uint32_t said = cellwise_step(m, &of[k], sample, out);
-            if (turn == 0u) {
-                error_V2 = of[k].error_V2;
-                status = said;
-                first_V = out->voltage_V;
-            }
-            const float away_V = out->voltage_V - first_V;
-            mean_V = mean_V + (of[k].weight * away_V);
-            square_V2 = square_V2 + (of[k].weight * (away_V * away_V));
-            variance_V2 = variance_V2 + (of[k].weight * out->innovation_variance_V2);
+    for (uint32_t k = 0u; k < count; k++) {
+        if (of[k + 1u].cost < GIVEN_UP) {
+            cellwise_expected expected;
+            step_component(m, &of[k + 1u], &place, &o, &block, begins, b->mismatch, &expected);
+            const float off_V = block.voltage_V - expected.voltage_V;
+            mean_V = mean_V + (of[k + 1u].weight * off_V);
+            square_V2 = square_V2 + (of[k + 1u].weight * (off_V * off_V));
+            variance_V2 = variance_V2 + (of[k + 1u].weight * expected.variance_V2);
         }
     }
-    out->voltage_V = first_V + mean_V;
-    out->innovation_variance_V2 = mixture_variance(variance_V2, mean_V, square_V2);
-    out->innovation_V = 0.0f;
-    if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
-        out->innovation_V = sample->voltage_V - out->voltage_V;
-        const float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
-        if (ratio > c->gate_square) {
-            status = status | CELLWISE_INNOVATION_REJECTED;
-        }
-        b->mismatch = lately_shown(b->mismatch, at_most(ratio, c->mismatch_cap), c->lately);
+    of[0u].error_V2 = mixture_variance(variance_V2, mean_V, square_V2);
+    if (block.share > 0.0f) {
+        const float most = at_most((mean_V * mean_V) / of[0u].error_V2, c->mismatch_cap);
+        b->mismatch = lately_shown(b->mismatch, most, at_most(c->lately * b->steps, 1.0f));
     }
-    return status;
 }
 
 /* The cost of the likeliest component. */
@@ -63,17 +51,44 @@ static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t c
     return least;
 }
 
-/* One time step of components that do not agree yet: the status. */
+/* The components over a block, what it says of the past, their weights and the estimate. */
+static void close_block(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool begins,
+                        bool alone, bool lost)
+{
+    step_components(m, b, of, count, begins, alone);
+    look_back(m, b, of, count, lost);
+    if (has_voltage(&of[0u])) { /* else it is as it was stated */
+        weigh_components(of, count, likeliest_of(b, of, count));
+        gather(b, of, count);
+    }
+    begin_block(b, &of[0u]);
+}
+
+/* One time step of components that do not agree yet: the status. The estimate goes on by the current. The components
+ * follow in blocks of samples: their voltages share one error of the model, and say together what each would. */
 static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                             const cellwise_input *sample, cellwise_output *out, float elapsed, bool lost)
 {
-    uint32_t status = step_components(m, b, of, count, sample, out);
-    look_back(m, b, of, count, elapsed, lost);
-    if (has_voltage(&of[b->likeliest])) {
-        weigh_components(of, count, likeliest_of(b, of, count));
-        gather(b, of, count);
-    } else { /* as it was stated */
-        status = cellwise_step(m, &of[0u], sample, out);
+    const bool begins = is_new(&of[0u]);
+    const bool knew = has_voltage(&of[0u]);
+    const float before_A = of[0u].current_A;
+    uint32_t status = coast(m, &of[0u], sample, out);
+    if (of[0u].error_V2 > 0.0f) {
+        out->innovation_variance_V2 = of[0u].error_V2;
+    }
+    if (begins || (elapsed > 0.0f)) {
+        const bool first = has_voltage(&of[0u]) && !knew;
+        collect_sample(m, b, &of[0u], out->innovation_V, begins ? 0.0f : elapsed, lost, before_A);
+        if (begins || first || lost || (b->steps >= m->constant.block_steps)) {
+            const bool alone = first && SIZE_BELOW(of[0u].current_A, m->constant.rest_A);
+            close_block(m, b, of, count, begins, alone, lost && !begins);
+        }
+        if (uses_voltage(&of[0u])) {
+            const float square = out->innovation_V * out->innovation_V;
+            if (square > (m->constant.gate_square * out->innovation_variance_V2)) {
+                status = status | CELLWISE_INNOVATION_REJECTED;
+            }
+        }
     }
     return status;
 }
@@ -88,10 +103,44 @@ static bool is_lost(const cellwise_state *x)
     return lost;
 }
 
+/* The numbers of a block in their range. */
+static bool is_block_sound(cellwise_bank *b)
+{
+    bool good = WITHIN(b->off_V, -LARGE, LARGE) && WITHIN(b->block_A, -LARGE, LARGE);
+    if (!WITHIN(b->soc, -LARGE, LARGE)) {
+        good = false;
+    }
+    if (!WITHIN(b->v1_V, -LARGE, LARGE)) {
+        good = false;
+    }
+    if (!WITHIN(b->v2_V, -LARGE, LARGE)) {
+        good = false;
+    }
+    if (!WITHIN(b->v3_V, -LARGE, LARGE)) {
+        good = false;
+    }
+    if (!WITHIN(b->h, -LARGE, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->ss, LARGE) || !NOT_NEGATIVE(b->unknown_A2, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->steps, SINCE_MOST) || !NOT_NEGATIVE(b->samples, SINCE_MOST)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->readings, SINCE_MOST)) {
+        good = false;
+    }
+    return good;
+}
+
 /* CW-019. Every number of a bank in its range: memory that lost its content is noticed. */
-static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t count)
+static bool bank_is_sound(const cellwise_constants *c, cellwise_bank *b, const cellwise_state *of, uint32_t count)
 {
     bool good = WITHIN(b->mean_A, -LARGE, LARGE) && WITHIN(b->looked_A, -LARGE, LARGE);
+    if (!is_block_sound(b)) {
+        good = false;
+    }
     if (!NOT_NEGATIVE(b->mismatch, LARGE) || !NOT_NEGATIVE(b->since, SINCE_MOST)) {
         good = false;
     }
@@ -106,6 +155,9 @@ static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t c
             good = false;
         }
         if ((of[k + 1u].cost < GIVEN_UP) && (of[k + 1u].in_bank != COMPONENT)) {
+            good = false;
+        }
+        if ((of[k + 1u].cost < GIVEN_UP) && !is_sound(c, &of[k + 1u])) {
             good = false;
         }
     }
@@ -136,20 +188,20 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
     uint32_t damaged = 0u;
     const uint32_t elapsed = sample->sequence - b->sequence;
     b->sequence = sample->sequence;
-    if ((b->spread != 0u) && !bank_is_sound(b, of, count)) {
+    if ((b->spread != 0u) && !bank_is_sound(&m->constant, b, of, count)) {
         damaged = know_nothing(m, b, of, count);
     }
     if (b->spread == 0u) {
         of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
-        if ((of[0u].in_bank == CONTRADICTED) || is_lost(&of[0u])) {
-            spread_again(b, of, count);
-        }
     } else {
         status = step_spread(m, b, of, count, sample, out, (float)elapsed, elapsed > 1u);
-        if (!bank_is_sound(b, of, count)) {
+        if ((b->spread != 0u) && !bank_is_sound(&m->constant, b, of, count)) {
             damaged = know_nothing(m, b, of, count);
         }
+    }
+    if ((of[0u].in_bank == CONTRADICTED) || is_lost(&of[0u])) {
+        spread_again(b, of, count);
     }
     status = status | damaged;
     out->soc = of[0u].soc;

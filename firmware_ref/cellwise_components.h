@@ -34,6 +34,23 @@ static void weigh_components(cellwise_state *of, uint32_t count, float least)
     }
 }
 
+/* Nothing seen yet; where the estimate `x` is now. */
+static void begin_block(cellwise_bank *b, const cellwise_state *x)
+{
+    b->soc = x->soc;
+    b->v1_V = x->v1_V;
+    b->v2_V = x->v2_V;
+    b->v3_V = x->v3_V;
+    b->h = x->h;
+    b->ss = x->ss;
+    b->steps = 0.0f;
+    b->samples = 0.0f;
+    b->readings = 0.0f;
+    b->off_V = 0.0f;
+    b->block_A = 0.0f;
+    b->unknown_A2 = 0.0f;
+}
+
 /* Components over all of the SOC, densely about the estimate. */
 static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
@@ -49,6 +66,7 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
         }
     }
     stand_alone(&of[0u]);
+    begin_block(b, &of[0u]);
     b->spread = 1u;
     b->mismatch = of[0u].mismatch;
     weigh_components(of, count, least);
@@ -147,11 +165,10 @@ static void collect(cellwise_state *x, cellwise_state *a)
     x->persistent = x->persistent + (a->weight * a->persistent);
 }
 
-/* The estimate: mean and covariance of the whole bank; the rest is the likeliest one's. Where the components agree,
- * however unsure each is, it goes on alone. */
+/* The estimate: mean and covariance of the whole bank. Where the components agree, however unsure each is, it goes
+ * on alone. */
 static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    of[0u] = of[b->likeliest];
     clear(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
         if (of[k + 1u].cost < GIVEN_UP) { /* else dropped: nobody looks after its memory */

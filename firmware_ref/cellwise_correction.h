@@ -21,7 +21,7 @@ static void recover(const cellwise_constants *c, cellwise_state *x, const cellwi
 static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_innovation *innovation,
                        float innovation_V, uint32_t beyond)
 {
-    const float now = contradicted_after(c, x, innovation, innovation_V, steps_of_evidence(x));
+    const float now = contradicted_after(c, x, innovation, innovation_V, time_of_evidence(x));
     const bool confirms = (beyond != 0u) && (magnitude(now) < magnitude(x->contradicted));
     if (SIZE_WITHIN(now, 1.0f) && !confirms) { /* a number */
         x->contradicted = now;
@@ -65,18 +65,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
                       uint32_t beyond)
 {
     uint32_t status = 0u;
-    if (x->in_bank == COMPONENT) {
-        if (!(x->error_V2 > 0.0f)) {
-            x->error_V2 = innovation->single_V2;
-        }
-        cellwise_shared shared;
-        shared_by(c, x, reading->delayed_current_A, &shared);
-        if ((reading->news == INTERVAL) || (shared.above <= shared.below)) {
-            cellwise_componentupdate used;
-            judge_component(c, x, innovation, innovation_V, steps_of_evidence(x), &shared, &used);
-            x->cost = x->cost + used.cost;
-            fuse(c, x, p, innovation, used.off_V, used.inverse);
-        }
+    if (x->in_bank == COMPONENT) { /* its components use it */
         begin_evidence(x);
     } else {
         const float lately = (reading->news == INTERVAL) ? c->lately : 0.0f;

@@ -3,7 +3,33 @@
 #ifndef CELLWISE_COVARIANCE_H
 #define CELLWISE_COVARIANCE_H
 
-#include "cellwise_lookup.h"
+#include "cellwise_offset.h"
+
+/* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
+typedef struct {
+    float ocv_V;
+    float slope_V;
+    float noise_V2;
+    float r0_ohm;
+    float m_V;
+    float r1_ohm;
+    float r2_ohm;
+    float r3_ohm;
+    float gain1;
+    float gain2;
+    float gain3;
+} cellwise_point;
+
+/* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches. `spread` is the
+ * standard deviation of SOC, 0 while it is well known. */
+typedef struct {
+    float slope_V;
+    float bend_V;
+    float spread;
+    float rise1;
+    float rise2;
+    float rise3;
+} cellwise_slopes;
 
 /* P H', the covariance of every state with the voltage, or a gain. */
 typedef struct {
@@ -72,56 +98,24 @@ static void add_variance(cellwise_state *x, float value)
     add(&x->ss, &x->ss_carry, value);
 }
 
-/* Every entry in its range. A variance of SOC is never 0: that is memory that was cleared. */
-static bool covariance_is_sound(const cellwise_state *x)
-{
-    if (!POSITIVE_WITHIN(x->ss, VARIANCE_FLOOR, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->s1, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->s2, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->s3, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->sh, LARGE)) { return false; }
-    if (!NOT_NEGATIVE(x->p11, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p12, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p13, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p1h, LARGE)) { return false; }
-    if (!NOT_NEGATIVE(x->p22, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p23, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p2h, LARGE)) { return false; }
-    if (!NOT_NEGATIVE(x->p33, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->p3h, LARGE)) { return false; }
-    if (!NOT_NEGATIVE(x->phh, LARGE)) { return false; }
-    return true;
-}
-
-/* SOC known with a variance, branches at rest, nothing known of hysteresis. */
-static void start_covariance(cellwise_state *x, float soc_variance)
-{
-    forget_correlations(x);
-    x->ss = soc_variance;
-    x->p11 = 0.0f;
-    x->p22 = 0.0f;
-    x->p33 = 0.0f;
-    x->phh = 1.0f;
-}
-
-/* The branches over one interval of constant current, exactly, and their covariance. A current that is not known to
- * `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of the time step. What decays slowly
- * is stated by how much it loses: 1 - 1e-5 as a float is off by 0.3 % of that. */
-static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2, float gain3,
-                  float counted_current_A, float square_A2)
+/* The branches over an interval of a constant current each, exactly, and their covariance. A current that is not
+ * known to `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of the time step. What
+ * decays slowly is stated by how much it loses: 1 - 1e-5 as a float is off by 0.3 % of that. */
+static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2, float gain3, float current1,
+                  float current2, float current3, float square_A2)
 {
     const float a1 = 1.0f - gain1;
-    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * counted_current_A) - x->v1_V));
+    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * current1) - x->v1_V));
     x->s1 = x->s1 - (gain1 * x->s1);
     x->p1h = x->p1h - (gain1 * x->p1h);
     x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
     const float a2 = 1.0f - gain2;
-    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * counted_current_A) - x->v2_V));
+    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * current2) - x->v2_V));
     x->s2 = x->s2 - (gain2 * x->s2);
     x->p2h = x->p2h - (gain2 * x->p2h);
     x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));
     const float a3 = 1.0f - gain3;
-    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * counted_current_A) - x->v3_V));
+    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * current3) - x->v3_V));
     x->s3 = x->s3 - (gain3 * x->s3);
     x->p3h = x->p3h - (gain3 * x->p3h);
     x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (p->r3_ohm * p->r3_ohm)) - x->p33));
@@ -140,24 +134,14 @@ static void fade_hysteresis(cellwise_state *x, float keep)
     x->phh = (keep * keep) * x->phh;
 }
 
-/* Nothing is known of h. */
-static void forget_hysteresis(cellwise_state *x)
+/* A SOC that is off drives the branches by the resistances' slopes, as `drive` [A] does. */
+static void tilt(cellwise_state *x, const cellwise_slopes *slopes, float drive1, float drive2, float drive3)
 {
-    x->sh = 0.0f;
-    x->p1h = 0.0f;
-    x->p2h = 0.0f;
-    x->p3h = 0.0f;
-    x->phh = 1.0f;
-}
-
-/* A SOC that is off drives the branches by the resistances' slopes. */
-static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *slopes, float counted_current_A)
-{
-    const float f1 = (slopes->rise1 * p->gain1) * counted_current_A;
+    const float f1 = slopes->rise1 * drive1;
     const float after1 = x->s1 + (f1 * x->ss);
-    const float f2 = (slopes->rise2 * p->gain2) * counted_current_A;
+    const float f2 = slopes->rise2 * drive2;
     const float after2 = x->s2 + (f2 * x->ss);
-    const float f3 = (slopes->rise3 * p->gain3) * counted_current_A;
+    const float f3 = slopes->rise3 * drive3;
     const float after3 = x->s3 + (f3 * x->ss);
     x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, after1);
     x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, after2);
@@ -203,6 +187,48 @@ static void narrow(cellwise_state *x, const cellwise_column *k, const cellwise_c
     x->p33 = at_least(x->p33 - (k->v3 * d->v3), 0.0f);
     x->p3h = x->p3h - (k->v3 * d->h);
     x->phh = at_least(x->phh - (k->h * d->h), 0.0f);
+}
+
+/* Every entry in its range. A variance of SOC is never 0: that is memory that was cleared. */
+static bool covariance_is_sound(const cellwise_state *x)
+{
+    if (!POSITIVE_WITHIN(x->ss, VARIANCE_FLOOR, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s1, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s2, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s3, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->sh, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p11, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p12, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p13, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p1h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p22, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p23, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p2h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p33, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p3h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->phh, LARGE)) { return false; }
+    return true;
+}
+
+/* SOC known with a variance, branches at rest, nothing known of hysteresis. */
+static void start_covariance(cellwise_state *x, float soc_variance)
+{
+    forget_correlations(x);
+    x->ss = soc_variance;
+    x->p11 = 0.0f;
+    x->p22 = 0.0f;
+    x->p33 = 0.0f;
+    x->phh = 1.0f;
+}
+
+/* Nothing is known of h. */
+static void forget_hysteresis(cellwise_state *x)
+{
+    x->sh = 0.0f;
+    x->p1h = 0.0f;
+    x->p2h = 0.0f;
+    x->p3h = 0.0f;
+    x->phh = 1.0f;
 }
 
 #endif

@@ -122,6 +122,18 @@ typedef struct {
     float since; /* steps since the start */
     uint32_t looks; /* how often the past has been looked at */
     float next_look; /* when it is next */
+    float soc; /* of the estimate where a block began */
+    float v1_V;
+    float v2_V;
+    float v3_V;
+    float h;
+    float ss;
+    float steps; /* of the block, */
+    float samples; /* its samples, */
+    float readings; /* and those with a voltage; */
+    float off_V; /* the mean of their innovations, */
+    float block_A; /* of their current, */
+    float unknown_A2; /* and of a current that nobody measured */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 

@@ -5,13 +5,6 @@
 
 #include "cellwise_sensing.h"
 
-/* The voltage that the state gives at a point of the tables. */
-static float voltage_of(const cellwise_state *x, const cellwise_point *p, float drop)
-{
-    const float voltage = ((((p->ocv_V - drop) - x->v1_V) - x->v2_V) - x->v3_V) + (p->m_V * x->h);
-    return voltage;
-}
-
 /* CW-010. How often the voltage has gone up and down under a current that repeats itself. */
 static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
@@ -34,7 +27,7 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
 }
 
 /* Steps since the first voltage, or since a recovery. */
-static float steps_of_evidence(const cellwise_state *x)
+static float time_of_evidence(const cellwise_state *x)
 {
     uint32_t since = 0u;
     if (x->evidence >= FIRST_VOLTAGE) {
@@ -49,7 +42,7 @@ static void shared_by(const cellwise_constants *c, const cellwise_state *x, floa
                       cellwise_shared *shared)
 {
     const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(delayed_current_A, c->rest_A);
-    shared_evidence(c, steps_of_evidence(x), 1.0f, alone, shared);
+    shared_evidence(c, time_of_evidence(x), 1.0f, alone, shared);
 }
 
 /* CW-018. Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
@@ -80,6 +73,19 @@ static float extrapolated(const cellwise_constants *c, const cellwise_state *x, 
     share = share + exponential_rise(c->share_per_K * far_K);
     moved_V = c->voltage_per_K * far_K;
     return (share * polarisation_V) + moved_V;
+}
+
+/* What the model can be off by beyond its data, one deviation [V]. */
+static float beyond_data(const cellwise_model *m, const cellwise_state *x, float current, float held_V)
+{
+    const float beyond_V = extrapolated(&m->constant, x, current, held_V);
+    return beyond_V;
+}
+
+/* Mean square of a current that nobody measures [A^2]. */
+static float unmeasured(const cellwise_model *m, const cellwise_state *x)
+{
+    return (x->no_current > m->constant.hold_steps) ? m->constant.lost_A2 : 0.0f;
 }
 
 /* How far an offset leads over one interval: the count, where there was one, and the branches. What is believed of
@@ -137,7 +143,7 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
 {
     const float drop = p->r0_ohm * reading->delayed_current_A;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
-    innovation->voltage_V = voltage_of(x, p, drop);
+    innovation->voltage_V = voltage_at(x, p, drop);
     innovation->single_V2 =
         single_variance(c, p->noise_V2, reading->delayed_current_A, polarisation_V, reading->unmeasured_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, reading->delayed_current_A, polarisation_V);

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_LIKELIHOOD_H
 #define CELLWISE_LIKELIHOOD_H
 
-#include "cellwise_start.h"
+#include "cellwise_sensors.h"
 
 /* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
 static float edge(float t, float soc, float std)

@@ -72,6 +72,7 @@ typedef struct {
     float least_use_A; /* a use takes no longer from full to empty */
     float fades; /* of samples that share one model error, those whose error fades, */
     float stays; /* and the share of the error that does not */
+    float block_steps; /* of a block of samples, whose mean is one piece of evidence */
     float look_steps; /* until the past of a start under load is looked at */
     float charge_efficiency;
     float leak_soc; /* SOC that self-discharge takes in one step */

@@ -24,13 +24,12 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
 /* A load under which a log begins was there before: what it has left in the slow branch. Half of that, and a
  * twentieth of a rate, may be otherwise. It is knowledge of the start that comes late: the slow branch has been
  * followed from nothing known. */
-static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float since, float mean_A)
+static NOINLINE void know_past(const cellwise_model *m, const cellwise_place *place, cellwise_state *a, float since,
+                               float mean_A)
 {
-    cellwise_place place;
-    place_now(m, a, &place);
     cellwise_slowbranch p;
-    slow_branch(m, &place, a->soc, mean_A, &p);
-    const float before = left_by_load(m, &place, mean_A, a->soc);
+    slow_branch(m, place, a->soc, mean_A, &p);
+    const float before = left_by_load(m, place, mean_A, a->soc);
     const float gone = risen(since * p.gain3);
     cellwise_past past;
     past_of(p.r3_ohm, gone, mean_A, before, m->constant.past_A, &past);
@@ -48,15 +47,13 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
 
 /* A longer mean of the load says more of the past: what that moves in the slow branch. What has been taken for the
  * branch's and was not is the SOC's, as far as they go together. */
-static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a, float since, float mean_A,
-                                      float before_A)
+static NOINLINE void know_past_better(const cellwise_model *m, const cellwise_place *place, cellwise_state *a,
+                                      float since, float mean_A, float before_A)
 {
-    cellwise_place place;
-    place_now(m, a, &place);
     cellwise_slowbranch p;
-    slow_branch(m, &place, a->soc, mean_A, &p);
-    const float taken = left_by_load(m, &place, before_A, a->soc);
-    const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
+    slow_branch(m, place, a->soc, mean_A, &p);
+    const float taken = left_by_load(m, place, before_A, a->soc);
+    const float more = left_by_load(m, place, mean_A, a->soc) - taken;
     const float gone = risen(since * p.gain3);
     cellwise_past past;
     past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
@@ -69,43 +66,42 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
 }
 
 /* What flowed for hours no first sample shows; it is looked at once more is known. */
-static void open_slow_branch(const cellwise_model *m, cellwise_state *a)
+static void open_slow_branch(const cellwise_model *m, const cellwise_place *place, cellwise_state *a, float current_A)
 {
-    cellwise_place place;
-    place_now(m, a, &place);
     cellwise_slowbranch p;
-    slow_branch(m, &place, a->soc, a->current_A, &p);
+    slow_branch(m, place, a->soc, current_A, &p);
     const float wide_V = m->constant.bank_A * p.r3_ohm;
     a->p33 = a->p33 + (wide_V * wide_V);
 }
 
-/* The mean of the load since a start under load, and what it says of the past, three times. `elapsed` since the last
- * sample, 0 for a repeated one; `lost` where more may have flowed. */
-static NOINLINE void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
-                               float elapsed, bool lost)
+/* The mean of the load since a start under load, and what it says of the past, three times. At the end of a block;
+ * `lost` where more may have flowed in it. */
+static NOINLINE void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool lost)
 {
-    const float current_A = of[b->likeliest].current_A;
+    cellwise_place place;
+    place_now(m, &of[0u], &place);
+    const float current_A = b->block_A;
     if (b->looks == NEVER_LOOKED) {
         b->looks = LOOKS;
         if (!SIZE_BELOW(current_A, m->constant.rest_A)) {
             b->looks = 0u;
             b->next_look = m->constant.look_steps;
             for (uint32_t k = 0u; k < count; k++) {
-                open_slow_branch(m, &of[k + 1u]);
+                open_slow_branch(m, &place, &of[k + 1u], current_A);
             }
         }
     } else if (lost) { /* nobody knows what flowed */
         b->looks = LOOKS;
-    } else if ((b->looks < LOOKS) && (elapsed > 0.0f)) {
-        b->since = b->since + elapsed;
-        b->mean_A = b->mean_A + ((current_A - b->mean_A) * (elapsed / b->since));
+    } else if ((b->looks < LOOKS) && (b->steps > 0.0f)) {
+        b->since = b->since + b->steps;
+        b->mean_A = b->mean_A + ((current_A - b->mean_A) * (b->steps / b->since));
         if (b->since >= b->next_look) {
             for (uint32_t k = 0u; k < count; k++) {
                 if (of[k + 1u].cost < GIVEN_UP) {
                     if (b->looks == 0u) {
-                        know_past(m, &of[k + 1u], b->since, b->mean_A);
+                        know_past(m, &place, &of[k + 1u], b->since, b->mean_A);
                     } else {
-                        know_past_better(m, &of[k + 1u], b->since, b->mean_A, b->looked_A);
+                        know_past_better(m, &place, &of[k + 1u], b->since, b->mean_A, b->looked_A);
                     }
                 }
             }

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_PLACE_H
 #define CELLWISE_PLACE_H
 
-#include "cellwise_offset.h"
+#include "cellwise_start.h"
 
 /* Where a temperature lies between two tables, and what it does to every resistance. `lag` is the SOC that the
  * particles' surface is below the mean. */
@@ -13,21 +13,6 @@ typedef struct {
     float scale;
     float lag;
 } cellwise_place;
-
-/* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
-typedef struct {
-    float ocv_V;
-    float slope_V;
-    float noise_V2;
-    float r0_ohm;
-    float m_V;
-    float r1_ohm;
-    float r2_ohm;
-    float r3_ohm;
-    float gain1;
-    float gain2;
-    float gain3;
-} cellwise_point;
 
 /* Where a SOC lies between two points of the tables. `beyond` is the fraction for the OCV, which goes on outside
  * 0..1, `within` that for the others; `at` and `share` are those of the particles' surface. */
@@ -46,17 +31,6 @@ typedef struct {
     float r2_ohm;
     float r3_ohm;
 } cellwise_loaded;
-
-/* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches. `spread` is the
- * standard deviation of SOC, 0 while it is well known. */
-typedef struct {
-    float slope_V;
-    float bend_V;
-    float spread;
-    float rise1;
-    float rise2;
-    float rise3;
-} cellwise_slopes;
 
 /* Neighbouring tables of a temperature, and the Arrhenius factor. */
 static void place_of(const cellwise_model *m, float temperature_C, cellwise_place *place)

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_START_H
 #define CELLWISE_START_H
 
-#include "cellwise_sensors.h"
+#include "cellwise_covariance.h"
 
 /* What may have flowed before a start: its mean, how far it may be off, the most it leaves. */
 typedef struct {
@@ -34,6 +34,23 @@ static float held_variance(float rested_V2, float r_ohm, float most_A, float lim
         variance_V2 = rested_V2 + (held_V * held_V);
     }
     return variance_V2;
+}
+
+/* What the branches hold when nobody knows what was before. */
+static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                                    float current)
+{
+    const float rested_V2 = c->branch_variance_V2;
+    forget_correlations(x);
+    cellwise_before before;
+    load_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
+    x->v1_V = p->r1_ohm * before.mean_A;
+    x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
+    x->v2_V = p->r2_ohm * before.mean_A;
+    x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
+    x->v3_V = p->r3_ohm * before.mean_A;
+    x->v3_carry_V = 0.0f;
+    x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
 }
 
 #endif

@@ -106,23 +106,6 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->evidence = NOT_BEGUN;
 }
 
-/* What the branches hold when nobody knows what was before. */
-static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                                    float current)
-{
-    const float rested_V2 = c->branch_variance_V2;
-    forget_correlations(x);
-    cellwise_before before;
-    load_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
-    x->v1_V = p->r1_ohm * before.mean_A;
-    x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
-    x->v2_V = p->r2_ohm * before.mean_A;
-    x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
-    x->v3_V = p->r3_ohm * before.mean_A;
-    x->v3_carry_V = 0.0f;
-    x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
-}
-
 /* Whether it has seen no sample yet. */
 static bool is_new(const cellwise_state *x)
 {
@@ -133,6 +116,12 @@ static bool is_new(const cellwise_state *x)
 static bool has_voltage(const cellwise_state *x)
 {
     return x->evidence >= FIRST_VOLTAGE;
+}
+
+/* Whether the last sample had a voltage that can be used. */
+static bool uses_voltage(const cellwise_state *x)
+{
+    return x->no_voltage == 0u;
 }
 
 /* What rounding has kept from the sums is dropped: they are set. */
@@ -213,7 +202,7 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
     const float gain1 = risen(steps * p->gain1);
     const float gain2 = risen(steps * p->gain2);
     const float gain3 = risen(steps * p->gain3);
-    relax(x, p, gain1, gain2, gain3, bridge, unknown_A2);
+    relax(x, p, gain1, gain2, gain3, bridge, bridge, bridge, unknown_A2);
     forget_hysteresis(x);
     x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
 }
@@ -223,13 +212,13 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
                     const cellwise_slopes *slopes, float counted_current_A, float unmeasured_A2)
 {
     const float square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2);
-    relax(x, p, p->gain1, p->gain2, p->gain3, counted_current_A, square_A2);
+    relax(x, p, p->gain1, p->gain2, p->gain3, counted_current_A, counted_current_A, counted_current_A, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(counted_current_A));
     const float keep = 1.0f - rise;
     x->h = clip((keep * x->h) + ((counted_current_A < 0.0f) ? rise : -rise), -1.0f, 1.0f);
     fade_hysteresis(x, keep);
     if (slopes->spread > 0.0f) {
-        tilt(x, p, slopes, counted_current_A);
+        tilt(x, slopes, p->gain1 * counted_current_A, p->gain2 * counted_current_A, p->gain3 * counted_current_A);
     }
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
         add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(counted_current_A)));

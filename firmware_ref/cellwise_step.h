@@ -54,7 +54,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     }
     cellwise_slopes slopes;
     no_slopes(&p, &slopes);
-    if (x->ss > WIDE_VARIANCE) {
+    if ((x->ss > WIDE_VARIANCE) && !(x->in_bank == COMPONENT)) {
         slopes_of(m, &place, x->soc, root(x->ss), reading.delayed_current_A, &p, &slopes);
     }
     if (reading.news == INTERVAL) {
@@ -68,6 +68,13 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     status = status | beyond;
     out->status = status;
     return status;
+}
+
+/* The estimate over an interval, and the voltage it expects, which moves the components. */
+static uint32_t coast(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample, cellwise_output *out)
+{
+    x->in_bank = COMPONENT;
+    return cellwise_step(m, x, sample, out);
 }
 
 #endif

@@ -3,7 +3,14 @@
 #ifndef CELLWISE_WEIGHING_H
 #define CELLWISE_WEIGHING_H
 
-#include "cellwise_covariance.h"
+#include "cellwise_lookup.h"
+
+/* The voltage that the state gives at a point of the tables [V]. */
+static float voltage_at(const cellwise_state *x, const cellwise_point *p, float drop)
+{
+    const float voltage = ((((p->ocv_V - drop) - x->v1_V) - x->v2_V) - x->v3_V) + (p->m_V * x->h);
+    return voltage;
+}
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
  * `explained_V2` what the state brings to it and `single_V2` what the voltage; `slope_V` is the voltage's over SOC,
@@ -70,19 +77,6 @@ static float weight_of(const cellwise_innovation *innovation, float shown, float
         weight = shown * of_single;
     }
     return inverse_weight(innovation->explained_V2, weight, unit * shared->below);
-}
-
-/* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass. The variance of a
- * voltage is that of the likeliest component, for all: one whose tables state a larger error must not explain
- * everything. */
-static void judge_component(const cellwise_constants *c, const cellwise_state *x,
-                            const cellwise_innovation *innovation, float innovation_V, float since,
-                            const cellwise_shared *shared, cellwise_componentupdate *componentupdate)
-{
-    const float weight = as_shown(x->error_V2 * shared->above, x->mismatch);
-    const float share = evidence_share(c->fades, c->stays, c->shared, since);
-    component_update(innovation_V, innovation->variance_V2, c->gate_square, innovation->explained_V2, weight,
-                     shared->below, share, componentupdate);
 }
 
 /* SOC that the voltages say is missing, were the current off for all of the time `since`. */

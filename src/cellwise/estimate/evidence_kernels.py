@@ -10,6 +10,7 @@ from cellwise.cell.equations.double import size_below
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.equations.constants import (
     BANK_RATE,
+    BLOCK_S,
     CONTRADICTED_S,
     COUNT_ROUNDING,
     LEAST_USE_RATE,
@@ -17,6 +18,9 @@ from cellwise.estimate.equations.constants import (
     PAST_RATE,
     PERSISTENT_MOST,
     REST_RATE,
+    START_BRANCH_V,
+    START_LOAD_RATE,
+    START_REST_RATE,
 )
 from cellwise.estimate.equations.evidence import (
     Shared,
@@ -56,6 +60,12 @@ class StepConstants(NamedTuple):
     least_use_A: float
     soc_per_A: float
     look_steps: float
+    block_steps: float
+    start_rest_A: float
+    start_load_A: float
+    branch_variance_V2: float
+    hysteresis_per_A: float
+    fixed_V2: float
     gate_square: float
     recovery_after: float
     mismatch_cap: float
@@ -76,7 +86,7 @@ class StepConstants(NamedTuple):
 
 
 def constants_of(
-    charge_As: float, noise: NoiseScalars, dt_s: float, unit_s: float
+    charge_As: float, hysteresis_rate: float, noise: NoiseScalars, dt_s: float, unit_s: float
 ) -> StepConstants:
     """The constants of a step of ``dt_s``, time in units of ``unit_s``: seconds, or steps."""
     rate_A = charge_As * (1.0 / 3600.0)
@@ -90,10 +100,16 @@ def constants_of(
         LEAST_USE_RATE * rate_A,
         unit_s / charge_As,
         LOOK_S / unit_s,
+        BLOCK_S / unit_s,
+        START_REST_RATE * rate_A,
+        START_LOAD_RATE * rate_A,
+        START_BRANCH_V * START_BRANCH_V,
+        hysteresis_rate * (unit_s / charge_As),
+        noise.voltage_V * noise.voltage_V,
         noise.gate * noise.gate,
         noise.recovery_after - COUNT_ROUNDING,
         noise.mismatch_cap,
-        min(dt_s * noise.per_slow_s, 1.0) if adapts else 0.0,
+        unit_s * noise.per_slow_s if adapts else 0.0,
         shared_s / unit_s,
         shared_s * noise.early_s / (unit_s * unit_s),
         noise.half_s / unit_s,
@@ -116,7 +132,7 @@ in_seconds = inline(constants_of)
 @inline
 def step_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> StepConstants:
     """The constants of one step of a filter."""
-    return in_seconds(cell.charge_As, noise, dt_s, 1.0)
+    return in_seconds(cell.charge_As, cell.hysteresis_rate, noise, dt_s, 1.0)
 
 
 @inline
@@ -197,7 +213,8 @@ def gate(
     elif status & VOLTAGE_FROZEN == 0:
         used = True
         # Ten samples a second repeat one error: each counts for its time, at most for one.
-        verdict = judge(c, old, innovation, innovation_V, c.lately, min(reading.dt_s, 1.0))
+        lately = min(c.lately * reading.dt_s, 1.0)
+        verdict = judge(c, old, innovation, innovation_V, lately, min(reading.dt_s, 1.0))
         status |= verdict.status
         accepted, rejections, mismatch = verdict.accepted, verdict.rejections, verdict.mismatch
         if accepted:

@@ -18,23 +18,26 @@ names.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from cellwise.cell.compiled import noinline, part
-from cellwise.cell.description import CELL, V3, triangle
+from cellwise.cell.description import BRANCHES, CELL, V3, triangle
 from cellwise.cell.equations.double import (
+    add,
     magnitude,
-    positive_within,
+    positive_above,
     risen,
     root,
     size_below,
     vanishing,
 )
-from cellwise.cell.equations.scalar import at_least, at_most
-from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.cell.equations.scalar import at_least, at_most, clip
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.components import (
     component_from,
+    component_update,
     cost_of_past,
+    evidence_share,
     kept_cost,
     mixture_variance,
     parts_before,
@@ -50,27 +53,56 @@ from cellwise.estimate.equations.constants import (
     WIDE_VARIANCE,
 )
 from cellwise.estimate.equations.covariance import (
+    Point,
+    Slopes,
+    add_variance,
+    column_of,
     column_of_slow_branch,
+    explained,
+    fade_hysteresis,
     forget_correlations,
+    move,
+    narrow,
+    relax,
     scaled,
+    tilt,
 )
-from cellwise.estimate.equations.evidence import lately_shown
+from cellwise.estimate.equations.evidence import (
+    as_shown,
+    bent_variance,
+    lately_shown,
+    persistent_step,
+    persistent_V,
+    share_of,
+    shared_evidence,
+    single_variance,
+    unknown_square,
+)
+from cellwise.estimate.equations.start import guess_branches
+from cellwise.estimate.equations.weighing import voltage_at
 from cellwise.estimate.filters.component_kernels import (
+    beyond_data,
+    coast,
     has_voltage,
     hold_within,
     is_new,
-    move,
-    narrow,
+    look_up,
+    no_slopes,
     place_now,
+    slopes_of,
     slow_branch,
     stand_alone,
     stand_in_bank,
-    step,
+    time_of_evidence,
+    unmeasured,
+    uses_voltage,
 )
 from cellwise.estimate.status import INNOVATION_REJECTED
 
 F, U = float, int  # kinds of numbers; those of the fixed step are of four bytes
 SLOW = HYSTERESIS = True  # states that a fixed step may do without
+SlowFloat: TypeAlias = Any
+HysteresisFloat: TypeAlias = Any
 Model: TypeAlias = Any
 State: TypeAlias = Any
 States: TypeAlias = Any
@@ -106,6 +138,21 @@ def weigh_components(of: States, count: int, least: float) -> None:
 
 
 @part
+@unrolled_by_option
+def begin_block(b: Bank, x: State) -> None:
+    """Nothing seen yet; where the estimate ``x`` is now."""
+    for i in CELL:
+        b.state[i] = x.state[i]
+    b.ss = x.ss
+    b.steps = 0.0
+    b.samples = 0.0
+    b.readings = 0.0
+    b.off_V = 0.0
+    b.block_A = 0.0
+    b.unknown_A2 = 0.0
+
+
+@part
 def spread_out(b: Bank, of: States, count: int) -> None:
     """Components over all of the SOC, densely about the estimate."""
     std = root(of[0].ss)
@@ -118,6 +165,7 @@ def spread_out(b: Bank, of: States, count: int) -> None:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
     stand_alone(of[0])
+    begin_block(b, of[0])
     b.spread = U(1)
     b.mismatch = of[0].mismatch
     weigh_components(of, count, least)
@@ -182,11 +230,10 @@ def collect(x: State, a: State) -> None:
 
 @part
 def gather(b: Bank, of: States, count: int) -> None:
-    """The estimate: mean and covariance of the whole bank; the rest is the likeliest one's.
+    """The estimate: mean and covariance of the whole bank.
 
     Where the components agree, however unsure each is, it goes on alone.
     """
-    of[0] = of[U(b.likeliest)]
     clear(of[0])
     for k in range(count):
         if of[k + 1].cost < GIVEN_UP:  # else dropped: nobody looks after its memory
@@ -222,13 +269,12 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
 @part
 @noinline
 @unrolled_by_option
-def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
+def know_past(m: Model, place: Place, a: State, since: float, mean_A: float) -> None:
     """A load under which a log begins was there before: what it has left in the slow branch.
 
     Half of that, and a twentieth of a rate, may be otherwise. It is knowledge of the start that
     comes late: the slow branch has been followed from nothing known.
     """
-    place = place_now(m, a)
     p = slow_branch(m, place, a.soc, mean_A)
     before = left_by_load(m, place, mean_A, a.soc)
     for i in (V3,):
@@ -247,12 +293,13 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
 @part
 @noinline
 @unrolled_by_option
-def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: float) -> None:
+def know_past_better(
+    m: Model, place: Place, a: State, since: float, mean_A: float, before_A: float
+) -> None:
     """A longer mean of the load says more of the past: what that moves in the slow branch.
 
     What has been taken for the branch's and was not is the SOC's, as far as they go together.
     """
-    place = place_now(m, a)
     p = slow_branch(m, place, a.soc, mean_A)
     taken = left_by_load(m, place, before_A, a.soc)
     more = left_by_load(m, place, mean_A, a.soc) - taken
@@ -267,10 +314,9 @@ def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: 
 
 @part
 @unrolled_by_option
-def open_slow_branch(m: Model, a: State) -> None:
+def open_slow_branch(m: Model, place: Place, a: State, current_A: float) -> None:
     """What flowed for hours no first sample shows; it is looked at once more is known."""
-    place = place_now(m, a)
-    p = slow_branch(m, place, a.soc, a.current_A)
+    p = slow_branch(m, place, a.soc, current_A)
     for i in (V3,):
         wide_V = m.constant.bank_A * p.r[i]
         a.p[i, i] = a.p[i, i] + (wide_V * wide_V)
@@ -278,72 +324,253 @@ def open_slow_branch(m: Model, a: State) -> None:
 
 @part
 @noinline
-def look_back(m: Model, b: Bank, of: States, count: int, elapsed: float, lost: bool) -> None:
+def look_back(m: Model, b: Bank, of: States, count: int, lost: bool) -> None:
     """The mean of the load since a start under load, and what it says of the past, three times.
 
-    ``elapsed`` since the last sample, 0 for a repeated one; ``lost`` where more may have flowed.
+    At the end of a block; ``lost`` where more may have flowed in it.
     """
-    current_A = of[U(b.likeliest)].current_A
+    place = place_now(m, of[0])
+    current_A = b.block_A
     if b.looks == NEVER_LOOKED:
         b.looks = LOOKS
         if not size_below(current_A, m.constant.rest_A):
             b.looks = U(0)
             b.next_look = m.constant.look_steps
             for k in range(count):
-                open_slow_branch(m, of[k + 1])
+                open_slow_branch(m, place, of[k + 1], current_A)
     elif lost:  # nobody knows what flowed
         b.looks = LOOKS
-    elif b.looks < LOOKS and elapsed > 0.0:
-        b.since = b.since + elapsed
-        b.mean_A = b.mean_A + ((current_A - b.mean_A) * (elapsed / b.since))
+    elif b.looks < LOOKS and b.steps > 0.0:
+        b.since = b.since + b.steps
+        b.mean_A = b.mean_A + ((current_A - b.mean_A) * (b.steps / b.since))
         if b.since >= b.next_look:
             for k in range(count):
                 if of[k + 1].cost < GIVEN_UP:
                     if b.looks == U(0):
-                        know_past(m, of[k + 1], b.since, b.mean_A)
+                        know_past(m, place, of[k + 1], b.since, b.mean_A)
                     else:
-                        know_past_better(m, of[k + 1], b.since, b.mean_A, b.looked_A)
+                        know_past_better(
+                            m, place, of[k + 1], b.since, b.mean_A, b.looked_A
+                        )
             b.looked_A = b.mean_A
             b.looks = U(b.looks + 1)
             b.next_look = b.next_look * LOOK_FACTOR
 
 
+class Movement(NamedTuple):
+    """What a block of samples has done to the estimate, and does to every component.
+
+    Charge has moved the SOC, and its variance has grown. Each branch has followed a constant
+    ``current``, by its ``gain``; what is not known of that has a mean square of ``square_A2``. Of h
+    the share ``keep_h`` is left, and ``rise_h`` has come.
+    """
+
+    soc: float
+    variance: float
+    gain1: float
+    gain2: float
+    gain3: SlowFloat
+    current1: float
+    current2: float
+    current3: SlowFloat
+    square_A2: float
+    keep_h: HysteresisFloat
+    rise_h: HysteresisFloat
+
+    @property
+    def gain(self) -> dict[Any, float]:
+        """By the branch."""
+        return dict(zip(BRANCHES, self[2:5], strict=True))
+
+    @property
+    def current(self) -> dict[Any, float]:
+        """By the branch."""
+        return dict(zip(BRANCHES, self[5:8], strict=True))
+
+
+class Block(NamedTuple):
+    """What the voltages of a block say, as one voltage under its mean current.
+
+    ``error_V2`` is the variance of that voltage, ``weight_V2`` over ``below`` what it weighs with,
+    ``share`` of it is new; 0 where there is none.
+    """
+
+    voltage_V: float
+    current_A: float
+    error_V2: float
+    weight_V2: float
+    below: float
+    share: float
+
+
+class Expected(NamedTuple):
+    """The voltage that a component expects, and the variance of an innovation."""
+
+    voltage_V: float
+    variance_V2: float
+
+
 @part
-def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Output) -> int:
-    """Every component by its own step, the likeliest first: all share what it says of the noise."""
+def collect_sample(
+    m: Model, b: Bank, x: State, off_V: float, elapsed: float, lost: bool, before_A: float
+) -> None:
+    """A sample into its block; ``before_A`` is the current of the one before."""
+    unmeasured_A2 = unmeasured(m, x)
+    current_A = 0.0 if unmeasured_A2 > 0.0 else x.current_A
+    b.steps = b.steps + elapsed
+    b.samples = b.samples + 1.0
+    b.block_A = b.block_A + ((current_A - b.block_A) / b.samples)
+    if uses_voltage(x):
+        b.readings = b.readings + 1.0
+        b.off_V = b.off_V + ((off_V - b.off_V) / b.readings)
+    b.unknown_A2 = at_least(b.unknown_A2, unmeasured_A2)
+    if lost:
+        b.unknown_A2 = at_least(b.unknown_A2, (current_A * current_A) + (before_A * before_A))
+
+
+@part
+@unrolled_by_option
+def movement_of(m: Model, b: Bank, x: State, p: Point) -> Movement:
+    """Of the estimate ``x`` since the block began; ``p`` are the tables where it is now."""
+    gain: dict[Any, float] = {}
+    current: dict[Any, float] = {}
+    for i in BRANCHES:
+        gain[i] = risen(b.steps * p.gain[i]) if THERE else 0.0
+        current[i] = b.block_A if THERE else 0.0
+        if p.r[i] > 0.0 and gain[i] > 0.0:
+            current[i] = (b.state[i] + ((x.state[i] - b.state[i]) / gain[i])) / p.r[i]
+    keep_h = 1.0
+    rise_h = 0.0
+    if HYSTERESIS:
+        keep_h = 1.0 - risen((m.constant.hysteresis_per_A * magnitude(b.block_A)) * b.steps)
+        rise_h = x.h - (keep_h * b.h)
+    return Movement(
+        x.soc - b.soc,
+        at_least(x.ss - b.ss, 0.0),
+        *(gain[i] for i in BRANCHES),
+        *(current[i] for i in BRANCHES),
+        unknown_square(share_of(m.constant, b.block_A), b.block_A, b.unknown_A2),
+        keep_h,
+        rise_h,
+    )
+
+
+@part
+@unrolled_by_option
+def block_of(
+    m: Model, b: Bank, x: State, likeliest_soc: float, place: Place, p: Point, alone: bool
+) -> Block:
+    """What the voltages say beside the estimate ``x``, which has been at ``p``.
+
+    Their variance is that at the likeliest component, for all: one whose tables state a larger
+    error must not explain everything.
+    """
     c = m.constant
-    error_V2 = 0.0
-    status = U(0)
-    first_V = 0.0
+    here = look_up(m, place, likeliest_soc, b.block_A)
+    held_V = magnitude(here.r0_ohm * b.block_A)
+    for i in BRANCHES:
+        held_V = held_V + magnitude(x.state[i])
+    beyond_V = beyond_data(m, x, b.block_A, held_V)
+    error_V2 = (
+        single_variance(c, here.noise_V2, b.block_A, held_V, unmeasured(m, x), here.r0_ohm)
+        + (beyond_V * beyond_V)
+    )
+    since = time_of_evidence(x)
+    shared = shared_evidence(c, since, 1.0 if alone else b.steps, alone)
+    share = 0.0
+    if b.readings > 0.0 and shared.below > 0.0:
+        share = evidence_share(c.fades, c.stays, c.shared, since)
+    return Block(
+        voltage_at(x, p, p.r0_ohm * b.block_A) + b.off_V,
+        b.block_A,
+        error_V2,
+        as_shown(error_V2 * at_least(shared.above, shared.below), b.mismatch),
+        shared.below,
+        share,
+    )
+
+
+@part
+@unrolled_by_option
+def use_block(
+    m: Model, x: State, block: Block, p: Point, slopes: Slopes, mismatch: float
+) -> Expected:
+    """The voltage of a block to a component: none is rejected, each moves by what the gate lets."""
+    c = m.constant
+    column = column_of(x, slopes.slope_V, p.m_V)
+    explained_V2 = bent_variance(explained(column, slopes.slope_V, p.m_V), slopes.bend_V)
+    voltage_V = voltage_at(x, p, p.r0_ohm * block.current_A)
+    variance_V2 = explained_V2 + block.error_V2
+    if block.share > 0.0:
+        used = component_update(
+            block.voltage_V - voltage_V,
+            variance_V2,
+            c.gate_square,
+            explained_V2,
+            block.weight_V2,
+            block.below,
+            block.share,
+        )
+        gain = scaled(column, used.inverse)
+        x.cost = x.cost + used.cost
+        move(x, gain, used.off_V)
+        narrow(x, gain, column)
+        error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, mismatch)
+        persistent = persistent_step(gain.s, slopes.slope_V, x.persistent, error_V)
+        x.persistent = clip(persistent, -1.0, 1.0)
+    return Expected(voltage_V, variance_V2)
+
+
+@part
+@unrolled_by_option
+def step_component(
+    m: Model, x: State, place: Place, o: Movement, block: Block, begins: bool, mismatch: float
+) -> Expected:
+    """A component over a block: what the estimate has done, at its own SOC, then the voltage."""
+    x.soc, x.soc_carry = add(x.soc, x.soc_carry, o.soc)
+    p = look_up(m, place, x.soc, block.current_A)
+    if begins:
+        guess_branches(m.constant, x, p, block.current_A)
+    slopes = no_slopes(p)
+    if x.ss > WIDE_VARIANCE:
+        slopes = slopes_of(m, place, x.soc, root(x.ss), block.current_A, p)
+    relax(x, p, *(o.gain[i] for i in BRANCHES), *(o.current[i] for i in BRANCHES), o.square_A2)  # type: ignore[call-arg]
+    if HYSTERESIS:
+        x.h = clip((o.keep_h * x.h) + o.rise_h, -1.0, 1.0)
+        fade_hysteresis(x, o.keep_h)
+    if slopes.spread > 0.0:
+        tilt(x, slopes, *(o.gain[i] * o.current[i] for i in BRANCHES))
+    if positive_above(1.0, x.ss):
+        add_variance(x, o.variance)
+    expected = use_block(m, x, block, p, slopes, mismatch)
+    hold_within(x)
+    return Expected(expected.voltage_V, expected.variance_V2)
+
+
+@part
+def step_components(
+    m: Model, b: Bank, of: States, count: int, begins: bool, alone: bool
+) -> None:
+    """Every component over the block that ends now, and what they have expected together."""
+    c = m.constant
+    place = place_now(m, of[0])
+    p = look_up(m, place, of[0].soc, b.block_A)
+    o = movement_of(m, b, of[0], p)
+    block = block_of(m, b, of[0], of[U(b.likeliest)].soc, place, p, alone)
     mean_V = 0.0
     square_V2 = 0.0
     variance_V2 = 0.0
-    for turn in range(count):
-        k = U(b.likeliest)
-        if turn > 0:
-            k = U(turn) if U(turn) <= U(b.likeliest) - U(1) else U(turn + 1)
-        if of[k].cost < GIVEN_UP:
-            of[k].error_V2 = error_V2
-            of[k].mismatch = b.mismatch
-            said = step(m, of[k], sample, out)
-            if turn == 0:
-                error_V2 = of[k].error_V2
-                status = said
-                first_V = out.voltage_V
-            away_V = out.voltage_V - first_V
-            mean_V = mean_V + (of[k].weight * away_V)
-            square_V2 = square_V2 + (of[k].weight * (away_V * away_V))
-            variance_V2 = variance_V2 + (of[k].weight * out.innovation_variance_V2)
-    out.voltage_V = first_V + mean_V
-    out.innovation_variance_V2 = mixture_variance(variance_V2, mean_V, square_V2)
-    out.innovation_V = 0.0
-    if positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V):
-        out.innovation_V = sample.voltage_V - out.voltage_V
-        ratio = (out.innovation_V * out.innovation_V) / out.innovation_variance_V2
-        if ratio > c.gate_square:
-            status = U(status | INNOVATION_REJECTED)
-        b.mismatch = lately_shown(b.mismatch, at_most(ratio, c.mismatch_cap), c.lately)
-    return status
+    for k in range(count):
+        if of[k + 1].cost < GIVEN_UP:
+            expected = step_component(m, of[k + 1], place, o, block, begins, b.mismatch)
+            off_V = block.voltage_V - expected.voltage_V
+            mean_V = mean_V + (of[k + 1].weight * off_V)
+            square_V2 = square_V2 + (of[k + 1].weight * (off_V * off_V))
+            variance_V2 = variance_V2 + (of[k + 1].weight * expected.variance_V2)
+    of[0].error_V2 = mixture_variance(variance_V2, mean_V, square_V2)
+    if block.share > 0.0:
+        most = at_most((mean_V * mean_V) / of[0].error_V2, c.mismatch_cap)
+        b.mismatch = lately_shown(b.mismatch, most, at_most(c.lately * b.steps, 1.0))
 
 
 @part
@@ -358,6 +585,19 @@ def likeliest_of(b: Bank, of: States, count: int) -> float:
 
 
 @part
+def close_block(
+    m: Model, b: Bank, of: States, count: int, begins: bool, alone: bool, lost: bool
+) -> None:
+    """The components over a block, what it says of the past, their weights and the estimate."""
+    step_components(m, b, of, count, begins, alone)
+    look_back(m, b, of, count, lost)
+    if has_voltage(of[0]):  # else it is as it was stated
+        weigh_components(of, count, likeliest_of(b, of, count))
+        gather(b, of, count)
+    begin_block(b, of[0])
+
+
+@part
 def step_spread(
     m: Model,
     b: Bank,
@@ -368,12 +608,25 @@ def step_spread(
     elapsed: float,
     lost: bool,
 ) -> int:
-    """One time step of components that do not agree yet: the status."""
-    status = step_components(m, b, of, count, sample, out)
-    look_back(m, b, of, count, elapsed, lost)
-    if has_voltage(of[U(b.likeliest)]):
-        weigh_components(of, count, likeliest_of(b, of, count))
-        gather(b, of, count)
-    else:  # as it was stated
-        status = step(m, of[0], sample, out)
+    """One time step of components that do not agree yet: the status.
+
+    The estimate goes on by the current. The components follow in blocks of samples: their voltages
+    share one error of the model, and say together what each would.
+    """
+    begins = is_new(of[0])
+    knew = has_voltage(of[0])
+    before_A = of[0].current_A
+    status = coast(m, of[0], sample, out)
+    if of[0].error_V2 > 0.0:
+        out.innovation_variance_V2 = of[0].error_V2
+    if begins or elapsed > 0.0:
+        first = has_voltage(of[0]) and not knew
+        collect_sample(m, b, of[0], out.innovation_V, 0.0 if begins else elapsed, lost, before_A)
+        if begins or first or lost or b.steps >= m.constant.block_steps:
+            alone = first and size_below(of[0].current_A, m.constant.rest_A)
+            close_block(m, b, of, count, begins, alone, lost and not begins)
+        if uses_voltage(of[0]):
+            square = out.innovation_V * out.innovation_V
+            if square > m.constant.gate_square * out.innovation_variance_V2:
+                status = U(status | INNOVATION_REJECTED)
     return status

@@ -27,6 +27,7 @@ START_LOAD_SHARE = 0.5
 START_LOAD_RATE = 0.25
 NO_LIMIT_V = 1000.0  # no cell's branch holds that
 
+LARGE = 1048576.0  # no sound state goes beyond it, in V, A or their squares
 # A SOC that is not known.
 VARIANCE_FLOOR = 1e-12  # of the SOC: rounding takes no more away
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
@@ -50,6 +51,7 @@ TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself no
 COST_MOST = 20.0  # a component less likely than exp(-20) is given up:
 GIVEN_UP = 1048576.0  # its cost, and nobody steps it any more
 LEAST_PASSED = 1e-4  # of an innovation that the gate lets pass
+BLOCK_S = 10.0  # of samples, whose mean is one piece of evidence
 BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
 
 # What flowed before a start under load.

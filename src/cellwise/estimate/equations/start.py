@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-from cellwise.cell.compiled import inline
+from cellwise.cell.compiled import inline, noinline
+from cellwise.cell.description import BRANCHES, CARRIED
 from cellwise.cell.equations.double import magnitude
 from cellwise.cell.equations.scalar import at_least, at_most
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.constants import NO_LIMIT_V, REST_LIMIT_V, START_LOAD_SHARE
+from cellwise.estimate.equations.covariance import Point, forget_correlations
+
+SLOW = WIDE = True  # what a fixed step may do without
+Constants: TypeAlias = Any
+State: TypeAlias = Any
 
 
 class Before(NamedTuple):
@@ -41,3 +48,26 @@ def held_variance(rested_V2: float, r_ohm: float, most_A: float, limit_V: float)
         held_V = at_most(most_A * r_ohm, limit_V)
         variance_V2 = rested_V2 + (held_V * held_V)
     return variance_V2
+
+
+@inline
+@noinline
+@unrolled_by_option
+def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
+    """What the branches hold when nobody knows what was before."""
+    rested_V2 = c.branch_variance_V2
+    forget_correlations(x)
+    if WIDE:
+        before = load_before(current, c.rest_A, c.start_rest_A, c.start_load_A)
+        for i in BRANCHES:
+            x.state[i] = p.r[i] * before.mean_A
+            if i in CARRIED:
+                x.carry[i] = 0.0
+            x.p[i, i] = held_variance(rested_V2, p.r[i], before.spread_A, before.limit_V)
+    else:
+        mean_A = START_LOAD_SHARE * current
+        spread_A = magnitude(mean_A) + c.start_rest_A
+        for i in BRANCHES:
+            x.state[i] = p.r[i] * mean_A
+            held_V = spread_A * p.r[i]
+            x.p[i, i] = rested_V2 + (held_V * held_V)

@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TypeAlias
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.equations.double import in_units, positive_above, unit_of
 from cellwise.cell.equations.scalar import at_most
-from cellwise.estimate.equations.components import (
-    ComponentUpdate,
-    component_update,
-    evidence_share,
-)
-from cellwise.estimate.equations.covariance import Column
+from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.covariance import Column, Point
 from cellwise.estimate.equations.evidence import (
     Shared,
     as_shown,
@@ -29,11 +26,24 @@ from cellwise.estimate.equations.evidence import (
 )
 from cellwise.estimate.status import GATE_RECOVERY, INNOVATION_REJECTED
 
+SLOW = HYSTERESIS = True  # states that a fixed step may do without
 U = int  # kinds of numbers; those of the fixed step are of four bytes
 Count = float
 Constants: TypeAlias = Any
 State: TypeAlias = Any
 OffsetFloat: TypeAlias = Any
+
+
+@inline
+@unrolled_by_option
+def voltage_at(x: State, p: Point, drop: float) -> float:
+    """The voltage that the state gives at a point of the tables [V]."""
+    voltage = p.ocv_V - drop
+    for i in BRANCHES:
+        voltage = voltage - x.state[i]
+    for i in (H,):
+        voltage = voltage + (p.m_V * x.state[i])
+    return voltage
 
 
 class Innovation(NamedTuple):
@@ -113,33 +123,6 @@ def weight_of(innovation: Innovation, shown: float, unit: float, shared: Shared)
     if positive_above(shown, unit):
         weight = shown * of_single
     return inverse_weight(innovation.explained_V2, weight, unit * shared.below)
-
-
-@inline
-def judge_component(
-    c: Constants,
-    x: State,
-    innovation: Innovation,
-    innovation_V: float,
-    since: float,
-    shared: Shared,
-) -> ComponentUpdate:
-    """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
-
-    The variance of a voltage is that of the likeliest component, for all: one whose tables state
-    a larger error must not explain everything.
-    """
-    weight = as_shown(x.error_V2 * shared.above, x.mismatch)
-    share = evidence_share(c.fades, c.stays, c.shared, since)
-    return component_update(
-        innovation_V,
-        innovation.variance_V2,
-        c.gate_square,
-        innovation.explained_V2,
-        weight,
-        shared.below,
-        share,
-    )
 
 
 @inline

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cellwise.cell.compiled import inline, part
-from cellwise.cell.description import BRANCHES
+from cellwise.cell.description import BRANCHES, CELL
 from cellwise.cell.equations import CellTables, loaded
 from cellwise.cell.packed import changed, put_record, record_at, records_in
 from cellwise.cell.unrolled import ByState, unrolled
@@ -28,7 +28,6 @@ from cellwise.estimate.filters.covariance_kernels import Branches, uncorrelated
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.offset_kernels import drift_variance, no_drift
 from cellwise.estimate.filters.predict_kernels import RESTED_V2
-from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import MeasuredSample, read_sample
 from cellwise.estimate.status import CURRENT_LOST, GATE_RECOVERY, SEQUENCE_GAP
@@ -40,6 +39,8 @@ COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
 # record has the fields of the fixed step's, and behind them what a step has predicted.
 BANK_FIELDS = (
     *("spread", "likeliest", "mismatch", "since", "mean_A", "looked_A", "looks", "next_look"),
+    *(s.name for s in CELL), *("ss", "steps", "samples", "readings"),
+    *("off_V", "block_A", "unknown_A2"),
     *("voltage_V", "innovation_V", "innovation_variance_V2"),
 )
 BANK = np.dtype([(name, np.float64) for name in BANK_FIELDS])
@@ -127,16 +128,15 @@ def begin_again(
 def step_bank(
     tables: CellTables,
     noise: NoiseScalars,
-    sigma: SigmaScalars | None,
     start: EkfStart,
     bank: FloatArray,
     sample: MeasuredSample,
 ) -> EkfInfo:
     """Every component over one interval; the estimate is in the first row."""
     b, of = records_in(BANK, bank)[RECORD], records_in(STATE, bank)
-    likeliest = state_in(bank, int(b.likeliest))
-    reading = read_sample(tables, noise, likeliest.watch, start.temperature_C, sample)
-    m = BankModel(step_constants(tables.cell, noise, reading.dt_s), tables, noise, sigma, start)
+    watch = state_in(bank, 0).watch
+    reading = read_sample(tables, noise, watch, start.temperature_C, sample)
+    m = BankModel(step_constants(tables.cell, noise, reading.dt_s), tables, noise, start)
     status = step_spread(m, b, of, count_of(bank), reading, b, reading.dt_s, reading.gap)
     now = state_in(bank, 0)
     known = now.p.ss + drift_variance(now.drift)

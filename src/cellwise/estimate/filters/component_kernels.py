@@ -11,22 +11,23 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from cellwise.cell.compiled import inline, part
-from cellwise.cell.equations import CellState, CellTables, loaded
-from cellwise.cell.equations.scalar import clip
-from cellwise.cell.packed import names_of, place_of, put_record, record_at
-from cellwise.estimate.equations.components import SlowBranch
-from cellwise.estimate.equations.covariance import Column
-from cellwise.estimate.equations.weighing import Innovation, judge_component
-from cellwise.estimate.evidence_kernels import GateResult, StepConstants, repeated_evidence
-from cellwise.estimate.filters.covariance_kernels import (
-    Covariance,
-    corrected,
-    moved,
+from cellwise.cell.description import BRANCHES, CARRIED, carry
+from cellwise.cell.equations import CellTables, loaded
+from cellwise.cell.equations.scalar import at_least, clip
+from cellwise.cell.packed import names_of, put_record, record_at
+from cellwise.cell.plausibility.validity_kernels import (
+    extrapolation_V,
+    is_outside,
+    lost_temperature_V,
 )
+from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.equations.components import SlowBranch
+from cellwise.estimate.equations.constants import LOST_RATE
+from cellwise.estimate.equations.covariance import Point, Slopes
+from cellwise.estimate.evidence_kernels import GateResult, StepConstants, slow_variance
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
-from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import innovate, predict, report
-from cellwise.estimate.filters.update_kernels import Predicted, update, without_voltage
+from cellwise.estimate.filters.update_kernels import without_voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NOT_BEGUN_S,
@@ -34,13 +35,13 @@ from cellwise.estimate.sensing_kernels import (
     watch_on,
     watch_voltage,
 )
+from cellwise.estimate.slopes_kernels import slopes_at
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 # A state of a bank in memory, number by number: behind a state stand its cost, minus the logarithm
 # of its likelihood beside the likeliest's, its weight, and the variance of one voltage.
-OF_BANK = ("cost", "weight", "error_V2")
+OF_BANK = ("cost", "weight", "error_V2", *map(carry, CARRIED), "ss_carry")
 STATE = np.dtype([(name, np.float64) for name in (*names_of(EkfState), *OF_BANK)])
-P_AT = place_of(EkfState, "p")
 State: TypeAlias = Any  # one such record
 Out: TypeAlias = Any
 
@@ -51,7 +52,6 @@ class BankModel(NamedTuple):
     constant: StepConstants
     tables: CellTables
     noise: NoiseScalars
-    sigma: SigmaScalars | None
     start: EkfStart
 
 
@@ -67,6 +67,43 @@ def place_now(m: BankModel, a: State) -> ComponentPlace:
     """The cell's temperature and the current behind the lag of its particles' surface."""
     temperature_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
     return ComponentPlace(temperature_C + a.heat_K, a.slow_A)
+
+
+@part
+@unrolled
+def look_up(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> Point:
+    """The tables at a SOC under a current; a gain is 1 / tau."""
+    p: ByState = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
+    return Point(
+        p.ocv_V,
+        p.ocv_slope_V,
+        slow_variance(m.noise, m.constant.fixed_V2, p),
+        p.r0_ohm,
+        p.m_V,
+        *(p.r[i] for i in BRANCHES),
+        *(1.0 / p.tau[i] if p.tau[i] > 0.0 else 0.0 for i in BRANCHES),
+    )
+
+
+@inline
+def no_slopes(p: Point) -> Slopes:
+    """SOC is well known: the OCV's tangent, and nothing else."""
+    return Slopes(p.slope_V, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@part
+@unrolled
+def slopes_of(
+    m: BankModel, place: ComponentPlace, soc: float, spread: float, current_A: float, p: Point
+) -> Slopes:
+    """While SOC is badly known slopes are chords over one standard deviation to either side."""
+    found = slopes_at(
+        m.tables, soc, spread * spread, loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A),
+        place.temperature_C, current_A, place.slow_A,
+    )  # fmt: skip
+    return Slopes(
+        found.slope_V, found.bend_V, found.spread, *(found.rise.row[i] for i in BRANCHES)
+    )
 
 
 @part
@@ -105,87 +142,66 @@ def hold_within(a: State) -> None:
 
 
 @inline
-def move(x: State, k: Column, innovation_V: float) -> None:
-    """State + K innovation."""
-    old: CellState = record_at(CellState, x, 0, 1)
-    put_record(x, 0, 1, moved(old, k, innovation_V), True)
+def uses_voltage(a: State) -> bool:
+    """Whether the last sample had a voltage that can be used."""
+    return bool(a.no_voltage_s == 0.0)
 
 
 @inline
-def narrow(x: State, k: Column, d: Column) -> None:
-    """P - K d'."""
-    old: Covariance = record_at(Covariance, x, P_AT, 1)
-    put_record(x, P_AT, 1, corrected(old, k, d), True)
-
-
-class WeighedVoltage(NamedTuple):
-    """What a component makes of a sample: how the voltage weighs, what it says against it."""
-
-    gate_result: GateResult
-    cost: float
+def time_of_evidence(a: State) -> float:
+    """Time since the first voltage, or since a recovery [s]."""
+    return at_least(a.evidence_s, 0.0)
 
 
 @inline
-def use_in_bank(
-    m: BankModel,
-    a: State,
-    state: EkfState,
-    reading: CheckedReading,
-    predicted: Predicted,
-    innovation: Innovation,
-) -> WeighedVoltage:
-    """A voltage to a component, if there is one that can be used."""
-    noise, evidence_s = m.noise, predicted.evidence_s
-    innovation_V = reading.voltage_V - innovation.voltage_V
-    last, swings, frozen = watch_voltage(
-        noise, state.watch, reading, innovation_V, predicted.point.r0_ohm
-    )
-    used = math.isfinite(innovation_V) and frozen == 0
-    inverse, cost, ratio = 0.0, 0.0, math.nan
-    if used:
-        ratio = innovation_V * innovation_V / innovation.variance_V2 * noise.per_gate2
-        shared = repeated_evidence(
-            m.constant, noise, evidence_s, reading.dt_s, reading.delayed_current_A
-        )
-        evidence_s = max(evidence_s, 0.0)
-        innovation_V, inverse, cost = judge_component(
-            m.constant, a, innovation, innovation_V, evidence_s, shared
-        )
-    if evidence_s >= 0.0:
-        evidence_s += reading.dt_s
-    after, away = watch_on(noise, reading, used, evidence_s, state.watch.no_voltage_s, last, swings)
-    status = frozen | away
-    if not math.isfinite(innovation_V):
-        status |= VOLTAGE_INVALID
-    # fmt: off
-    gate_result = GateResult(
-        used, used, inverse, innovation_V, ratio, 0.0, a.mismatch, after, status
-    )
-    # fmt: on
-    return WeighedVoltage(gate_result, cost)
+def unmeasured(m: BankModel, a: State) -> float:
+    """Mean square of a current that nobody measures [A^2]."""
+    lost_A = LOST_RATE * m.tables.cell.charge_As / 3600.0
+    return lost_A * lost_A if a.no_current_s > m.noise.hold_s else 0.0
+
+
+@inline
+def beyond_data(m: BankModel, a: State, current_A: float, held_V: float) -> float:
+    """What the model can be off by beyond its data, and without a temperature, one deviation."""
+    valid, beyond_V = m.noise.valid, 0.0
+    if is_outside(valid, a.soc, a.temperature_C, current_A):
+        beyond_V = extrapolation_V(valid, a.temperature_C, current_A, held_V)
+    if a.no_warm_s > 0.0:
+        beyond_V = beyond_V + lost_temperature_V(a.no_warm_s, held_V)
+    return beyond_V
 
 
 @part
-def step(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
-    """A component over an interval: its status; ``out`` is what it has predicted."""
+def coast(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
+    """The estimate over an interval, and the voltage it expects, which moves the components."""
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
-    predicted = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
-    innovation = innovate(m.constant, m.tables, noise, m.sigma, reading, predicted)
-    if not (a.error_V2 > 0.0):
-        a.error_V2 = innovation.single_V2
-    weighed = use_in_bank(m, a, predicted.state, reading, predicted, innovation)
-    gate_result = weighed.gate_result
-    estimate = (
-        update(m.constant, noise, None, reading, predicted, innovation, gate_result)
-        if gate_result.accepted
-        else without_voltage(predicted)
+    predicted = predict(m.constant, m.tables, noise, None, None, m.start, old, None, reading, True)
+    innovation = innovate(m.constant, m.tables, noise, None, reading, predicted)
+    off_V = reading.voltage_V - innovation.voltage_V
+    last, swings, frozen = watch_voltage(
+        noise, predicted.state.watch, reading, off_V, predicted.point.r0_ohm
     )
-    after, info = report(
-        innovation, gate_result, estimate, reading.status | predicted.status | gate_result.status
+    used = math.isfinite(off_V) and frozen == 0
+    evidence_s = max(predicted.evidence_s, 0.0) if used else predicted.evidence_s
+    if evidence_s >= 0.0:
+        evidence_s += reading.dt_s
+    away_s = predicted.state.watch.no_voltage_s
+    after, away = watch_on(noise, reading, used, evidence_s, away_s, last, swings)
+    status = frozen | away
+    if not math.isfinite(off_V):
+        status |= VOLTAGE_INVALID
+    # fmt: off
+    gate_result = GateResult(
+        False, used, 0.0, off_V, math.nan, old.rejections, old.mismatch, after, status
     )
-    put_record(a, 0, 1, after, True)
-    a.cost += weighed.cost
+    # fmt: on
+    state, info = report(
+        innovation, gate_result, without_voltage(predicted),
+        reading.status | predicted.status | status,
+    )  # fmt: skip
+    put_record(a, 0, 1, state, True)
     out.voltage_V = info.voltage_V
+    out.innovation_V = off_V
     out.innovation_variance_V2 = info.innovation_variance_V2
     return info.status

@@ -69,7 +69,7 @@ def bank_or_alone(
     if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
         open_bank(bank, state)
     if is_spread(bank):
-        info = step_bank(tables, noise, sigma, start, bank, sample)
+        info = step_bank(tables, noise, start, bank, sample)
         state = state_in(bank, 0)
         return state, waiting(rules, free, state.drift), info
     state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, sample)
@@ -174,7 +174,7 @@ def filter_rows(
     for k in range(log.dt_s.size):
         sample = sample_of(log, k)
         if spread:
-            info = step_bank(tables, noise, sigma, start, bank, sample)
+            info = step_bank(tables, noise, start, bank, sample)
             state = state_in(bank, 0)
             free = waiting(rules, free, state.drift)
             spread = is_spread(bank)

@@ -193,6 +193,7 @@ def by_tangents(
     interval: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
+    coasts: bool,
 ) -> tuple[CellState, Covariance, VoltageSlopes]:
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     end, point = interval.end, interval.point
@@ -202,7 +203,7 @@ def by_tangents(
     slopes = slopes_at(
         tables,
         end.soc,
-        ss,
+        0.0 if coasts else ss,
         point,
         interval.effective_temperature_C,
         reading.delayed_current_A,

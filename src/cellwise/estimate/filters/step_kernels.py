@@ -102,8 +102,12 @@ def predict(
     state: EkfState,
     free: Free | None,
     reading: CheckedReading,
+    coasts: bool,
 ) -> Predicted:
-    """Charge first, then the tables at the new SOC; a state that is not finite starts again."""
+    """Charge first, then the tables at the new SOC; a state that is not finite starts again.
+
+    One that ``coasts`` is a bank's mean: each component has slopes of its own.
+    """
     cell = tables.cell
     status = 0
     soc = soc_step(cell, state.cell.soc, reading.counted_current_A, reading.dt_s)
@@ -126,7 +130,9 @@ def predict(
         cell, rules, free, drift, interval.t.gs, within_data_A, reading.dt_s
     )
     if sigma is None:
-        x, p, slopes = by_tangents(c, tables, noise, reading, interval, p, state.watch.no_voltage_s)
+        x, p, slopes = by_tangents(
+            c, tables, noise, reading, interval, p, state.watch.no_voltage_s, coasts
+        )
     else:
         x, p, slopes = by_points(
             c, tables, noise, sigma, reading, interval, p, state.watch.no_voltage_s
@@ -225,7 +231,7 @@ def filter_step(
     """Over the interval that ends now, then the voltage read now."""
     reading = read_sample(tables, noise, state.watch, start.temperature_C, sample)
     c = step_constants(tables.cell, noise, sample.dt_s)
-    predicted = predict(c, tables, noise, sigma, rules, start, state, free, reading)
+    predicted = predict(c, tables, noise, sigma, rules, start, state, free, reading, False)
     innovation = innovate(c, tables, noise, sigma, reading, predicted)
     gate_result = gate(
         c, noise, predicted.state, reading, predicted.evidence_s, predicted.point.r0_ohm, innovation

@@ -75,7 +75,6 @@ KNOW_NOTHING_VARIANCE = F(0.09)
 SOC_VARIANCE_MOST = F(1.0)  # SOC lies in 0..1: more says nothing
 BEYOND = F(GOES_ON)  # how far the OCV goes on outside 0..1
 HEAT_MOST_K = F(200.0)
-LARGE = F(2.0**20)  # no sound state goes beyond it, in V, A or their squares
 CARRY_MOST = F(2.0**-10)
 LEAST_FALL = F(0.1)  # with the current a resistance rises by ten at most
 LONGEST_GAP = U(0x100000)  # samples

@@ -5,11 +5,13 @@ The bank itself is :mod:`cellwise.estimate.equations.bank`, as in the filters of
 
 from __future__ import annotations
 
+from cellwise.cell.description import CELL
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.bank import begin_bank, spread_again, step_spread
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.sensing import variance_of
-from cellwise.estimate.fixed.state import start
+from cellwise.estimate.fixed.state import is_sound, start
 from cellwise.estimate.fixed.step import begin_at, step
 from cellwise.estimate.status import STATE_RESET
 
@@ -22,9 +24,27 @@ def is_lost(x: State) -> bool:
     return lost
 
 
-def bank_is_sound(b: Bank, of: States, count: int) -> bool:
+@unrolled_by_option
+def is_block_sound(b: Bank) -> bool:
+    """The numbers of a block in their range."""
+    good = within(b.off_V, -LARGE, LARGE) and within(b.block_A, -LARGE, LARGE)
+    for i in CELL:
+        if not within(b.state[i], -LARGE, LARGE):
+            good = False
+    if not not_negative(b.ss, LARGE) or not not_negative(b.unknown_A2, LARGE):
+        good = False
+    if not not_negative(b.steps, SINCE_MOST) or not not_negative(b.samples, SINCE_MOST):
+        good = False
+    if not not_negative(b.readings, SINCE_MOST):
+        good = False
+    return good
+
+
+def bank_is_sound(c: Constants, b: Bank, of: States, count: int) -> bool:
     """Every number of a bank in its range: memory that lost its content is noticed."""
     good = within(b.mean_A, -LARGE, LARGE) and within(b.looked_A, -LARGE, LARGE)
+    if not is_block_sound(b):
+        good = False
     if not not_negative(b.mismatch, LARGE) or not not_negative(b.since, SINCE_MOST):
         good = False
     if not not_negative(b.next_look, SINCE_MOST):
@@ -35,6 +55,8 @@ def bank_is_sound(b: Bank, of: States, count: int) -> bool:
         if not not_negative(of[k + 1].cost, GIVEN_UP) or not not_negative(of[k + 1].weight, 2.0):
             good = False
         if of[k + 1].cost < GIVEN_UP and of[k + 1].in_bank != COMPONENT:
+            good = False
+        if of[k + 1].cost < GIVEN_UP and not is_sound(c, of[k + 1]):
             good = False
     return good
 
@@ -67,17 +89,17 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
     damaged = U(0)
     elapsed = U(sample.sequence - b.sequence)
     b.sequence = sample.sequence
-    if b.spread != U(0) and not bank_is_sound(b, of, count):
+    if b.spread != U(0) and not bank_is_sound(m.constant, b, of, count):
         damaged = know_nothing(m, b, of, count)
     if b.spread == U(0):
         of[0].in_bank = ALONE
         status = step(m, of[0], sample, out)
-        if of[0].in_bank == CONTRADICTED or is_lost(of[0]):
-            spread_again(b, of, count)
     else:
         status = step_spread(m, b, of, count, sample, out, F(elapsed), elapsed > U(1))
-        if not bank_is_sound(b, of, count):
+        if b.spread != U(0) and not bank_is_sound(m.constant, b, of, count):
             damaged = know_nothing(m, b, of, count)
+    if of[0].in_bank == CONTRADICTED or is_lost(of[0]):
+        spread_again(b, of, count)
     status = U(status | damaged)
     out.soc = of[0].soc
     out.soc_variance = variance_of(of[0], of[0].ss)

@@ -27,9 +27,6 @@ from cellwise.estimate.equations.constants import (
     LOST_RATE,
     OFFSET_REST_S,
     RECOVERY_RATE,
-    START_BRANCH_V,
-    START_LOAD_RATE,
-    START_REST_RATE,
 )
 from cellwise.estimate.evidence_kernels import constants_of
 from cellwise.estimate.fixed.options import CellSettings, Options
@@ -72,7 +69,9 @@ ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 
 def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options) -> dict[str, Any]:
     """Of the step itself."""
-    of_filters = constants_of(3600.0 * model.capacity_Ah, noise.scalars(), dt_s, dt_s)
+    of_filters = constants_of(
+        3600.0 * model.capacity_Ah, model.effect(Hysteresis).gamma, noise.scalars(), dt_s, dt_s
+    )
     per_A = of_filters.soc_per_A
     half = max(of_filters.shared_half, 1.0)
     wanders = WANDERS if options.offset and noise.offset_share > 0.0 else 1.0
@@ -95,10 +94,8 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "current_limit_A": min(noise.current_limit_A, IMPOSSIBLE_RATE * model.capacity_Ah),
         "voltage_low_V": max(noise.voltage_low_V, TARGET.voltage_least_V),
         "voltage_high_V": min(noise.voltage_high_V, TARGET.voltage_most_V),
-        "branch_variance_V2": START_BRANCH_V**2,
-        "start_rest_A": START_REST_RATE * model.capacity_Ah,
-        "start_load_A": START_LOAD_RATE * model.capacity_Ah,
-        "fixed_V2": noise.voltage_V**2,
+        "lately": min(of_filters.lately, 1.0),
+        "block_steps": np.ceil(of_filters.block_steps),
         "ocv_soc2": noise.ocv_soc**2,
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
         "look_steps": np.ceil(of_filters.look_steps),
@@ -113,7 +110,6 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "surface_per_A": surface.depth_h / model.capacity_Ah,
         "surface_gain": -np.expm1(-dt_s / surface.tau_s),
         "surface_rate": dt_s / surface.tau_s,
-        "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "offset_A": noise.offset_share * model.capacity_Ah,
         "rate_A": model.capacity_Ah,
         "rest_steps": np.ceil(OFFSET_REST_S / dt_s),

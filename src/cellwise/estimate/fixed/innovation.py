@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from cellwise.cell.description import BRANCHES, H
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.equations.covariance import column_of, explained
+from cellwise.estimate.equations.covariance import Point, Slopes, column_of, explained
 from cellwise.estimate.equations.evidence import (
     Shared,
     bent_variance,
@@ -14,22 +14,11 @@ from cellwise.estimate.equations.evidence import (
 )
 from cellwise.estimate.equations.offset import offset_after, rest_after
 from cellwise.estimate.equations.sensors import repeats_after, swings_after
-from cellwise.estimate.equations.weighing import Innovation
+from cellwise.estimate.equations.weighing import Innovation, voltage_at
 from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.lookup import Point, Slopes
+from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
-
-
-@unrolled_by_option
-def voltage_of(x: State, p: Point, drop: float) -> float:
-    """The voltage that the state gives at a point of the tables."""
-    voltage = p.ocv_V - drop
-    for i in BRANCHES:
-        voltage = voltage - x.state[i]
-    for i in (H,):
-        voltage = voltage + (p.m_V * x.state[i])
-    return voltage
 
 
 def watch_current(c: Constants, x: State, voltage: float) -> None:
@@ -63,7 +52,7 @@ def watch_voltage(
     return U(VOLTAGE_FROZEN) if now.repeats >= FOUND_FROZEN else U(0)
 
 
-def steps_of_evidence(x: State) -> float:
+def time_of_evidence(x: State) -> float:
     """Steps since the first voltage, or since a recovery."""
     since = U(0)
     if x.evidence >= FIRST_VOLTAGE:
@@ -75,7 +64,7 @@ def steps_of_evidence(x: State) -> float:
 def shared_by(c: Constants, x: State, delayed_current_A: float) -> Shared:
     """How many samples share one model error; the first voltage at rest stands alone."""
     alone = x.evidence < FIRST_VOLTAGE and size_below(delayed_current_A, c.rest_A)
-    return shared_evidence(c, steps_of_evidence(x), 1.0, alone)
+    return shared_evidence(c, time_of_evidence(x), 1.0, alone)
 
 
 def outside(c: Constants, x: State, reading: Reading) -> int:
@@ -105,6 +94,19 @@ def extrapolated(c: Constants, x: State, delayed_current_A: float, polarisation_
         share = share + exponential_rise(c.share_per_K * far_K)
         moved_V = c.voltage_per_K * far_K
     return F((share * polarisation_V) + moved_V)
+
+
+def beyond_data(m: Model, x: State, current: float, held_V: float) -> float:
+    """What the model can be off by beyond its data, one deviation [V]."""
+    beyond_V = 0.0
+    if VALIDITY:
+        beyond_V = extrapolated(m.constant, x, current, held_V)
+    return beyond_V
+
+
+def unmeasured(m: Model, x: State) -> float:
+    """Mean square of a current that nobody measures [A^2]."""
+    return m.constant.lost_A2 if x.no_current > m.constant.hold_steps else 0.0
 
 
 @unrolled_by_option
@@ -161,7 +163,7 @@ def innovate(c: Constants, x: State, p: Point, slopes: Slopes, reading: Reading)
     polarisation_V = magnitude(drop)
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
-    voltage_V = voltage_of(x, p, drop)
+    voltage_V = voltage_at(x, p, drop)
     single_V2 = single_variance(
         c, p.noise_V2, reading.delayed_current_A, polarisation_V, reading.unmeasured_A2, p.r0_ohm
     )

@@ -8,6 +8,7 @@ from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.components import SlowBranch
+from cellwise.estimate.equations.covariance import Point, Slopes
 from cellwise.estimate.equations.evidence import chord_of, error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
@@ -27,32 +28,6 @@ class Place(NamedTuple):
     weight: float
     scale: float
     lag: SurfaceFloat
-
-
-class Point(NamedTuple):
-    """The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau)."""
-
-    ocv_V: float
-    slope_V: float
-    noise_V2: float
-    r0_ohm: float
-    m_V: HysteresisFloat
-    r1_ohm: float
-    r2_ohm: float
-    r3_ohm: SlowFloat
-    gain1: float
-    gain2: float
-    gain3: SlowFloat
-
-    @property
-    def r(self) -> dict[Any, float]:
-        """Resistances by the branch."""
-        return dict(zip(BRANCHES, self[5:8], strict=True))
-
-    @property
-    def gain(self) -> dict[Any, float]:
-        """Gains by the branch."""
-        return dict(zip(BRANCHES, self[8:], strict=True))
 
 
 class SocPlace(NamedTuple):
@@ -81,25 +56,6 @@ class Loaded(NamedTuple):
     def r(self) -> dict[Any, float]:
         """By the branch."""
         return dict(zip(BRANCHES, self[1:], strict=True))
-
-
-class Slopes(NamedTuple):
-    """Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches.
-
-    ``spread`` is the standard deviation of SOC, 0 while it is well known.
-    """
-
-    slope_V: float
-    bend_V: float
-    spread: float
-    rise1: float
-    rise2: float
-    rise3: SlowFloat
-
-    @property
-    def rise(self) -> dict[Any, float]:
-        """Slopes of the resistances by the branch."""
-        return dict(zip(BRANCHES, self[3:], strict=True))
 
 
 def place_of(m: Model, temperature_C: float) -> Place:

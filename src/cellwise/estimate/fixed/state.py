@@ -6,22 +6,26 @@ from typing import Any
 
 from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.equations.covariance import forget_correlations
-from cellwise.estimate.equations.evidence import share_of, unknown_square
-from cellwise.estimate.equations.sensors import unseen_variance
-from cellwise.estimate.equations.start import held_variance, load_before
-from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.covariance import (
+from cellwise.estimate.equations.covariance import (
+    Point,
+    Slopes,
     add_variance,
-    covariance_is_sound,
     fade_hysteresis,
-    forget_hysteresis,
+    forget_correlations,
     relax,
-    start_covariance,
     tilt,
 )
+from cellwise.estimate.equations.evidence import share_of, unknown_square
+from cellwise.estimate.equations.sensors import unseen_variance
+from cellwise.estimate.equations.start import guess_branches, held_variance
+from cellwise.estimate.fixed.arithmetic import *
+from cellwise.estimate.fixed.covariance import (
+    covariance_is_sound,
+    forget_hysteresis,
+    start_covariance,
+)
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Point, Slopes, within_one
+from cellwise.estimate.fixed.lookup import within_one
 from cellwise.estimate.status import OUT_OF_RANGE
 
 
@@ -157,28 +161,6 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     x.evidence = NOT_BEGUN
 
 
-@noinline
-@unrolled_by_option
-def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
-    """What the branches hold when nobody knows what was before."""
-    rested_V2 = c.branch_variance_V2
-    forget_correlations(x)
-    if WIDE:
-        before = load_before(current, c.rest_A, c.start_rest_A, c.start_load_A)
-        for i in BRANCHES:
-            x.state[i] = p.r[i] * before.mean_A
-            if i in CARRIED:
-                x.carry[i] = 0.0
-            x.p[i, i] = held_variance(rested_V2, p.r[i], before.spread_A, before.limit_V)
-    else:
-        mean_A = START_LOAD_SHARE * current
-        spread_A = magnitude(mean_A) + c.start_rest_A
-        for i in BRANCHES:
-            x.state[i] = p.r[i] * mean_A
-            held_V = spread_A * p.r[i]
-            x.p[i, i] = rested_V2 + (held_V * held_V)
-
-
 def is_new(x: State) -> bool:
     """Whether it has seen no sample yet."""
     return x.evidence == NOT_BEGUN  # type: ignore[no-any-return]
@@ -187,6 +169,11 @@ def is_new(x: State) -> bool:
 def has_voltage(x: State) -> bool:
     """Whether it has used a voltage."""
     return x.evidence >= FIRST_VOLTAGE  # type: ignore[no-any-return]
+
+
+def uses_voltage(x: State) -> bool:
+    """Whether the last sample had a voltage that can be used."""
+    return x.no_voltage == U(0)  # type: ignore[no-any-return]
 
 
 @unrolled_by_option
@@ -269,7 +256,7 @@ def cross_gap(
         gain: dict[Any, float] = {}
         for i in BRANCHES:
             gain[i] = risen(steps * p.gain[i]) if THERE else 0.0
-        relax(x, p, *(gain[i] for i in BRANCHES), bridge, unknown_A2)  # type: ignore[call-arg]
+        relax(x, p, *(gain[i] for i in BRANCHES), *(bridge for i in BRANCHES), unknown_A2)  # type: ignore[call-arg]
     else:
         for i in BRANCHES:
             x.p[i, i] = x.p[i, i] + (unknown_A2 * (p.r[i] * p.r[i]))
@@ -285,14 +272,16 @@ def predict(
 ) -> None:
     """One interval of constant current."""
     square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2)
-    relax(x, p, *(p.gain[i] for i in BRANCHES), counted_current_A, square_A2)  # type: ignore[call-arg]
+    relax(
+        x, p, *(p.gain[i] for i in BRANCHES), *(counted_current_A for i in BRANCHES), square_A2
+    )  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(counted_current_A))
         keep = 1.0 - rise
         x.h = clip((keep * x.h) + (rise if counted_current_A < 0.0 else -rise), -1.0, 1.0)
         fade_hysteresis(x, keep)
     if WIDE and slopes.spread > 0.0:
-        tilt(x, p, slopes, counted_current_A)
+        tilt(x, slopes, *(p.gain[i] * counted_current_A for i in BRANCHES))
     if positive_above(SOC_VARIANCE_MOST, x.ss):
         add_variance(x, c.soc_walk + (c.capacity_walk * magnitude(counted_current_A)))
 

@@ -8,31 +8,28 @@ sample. The equations are the same functions (:mod:`cellwise.estimate.equations`
 
 from __future__ import annotations
 
-from cellwise.estimate.equations.covariance import scaled
+from cellwise.estimate.equations.covariance import Point, Slopes, move, narrow, scaled
+from cellwise.estimate.equations.start import guess_branches
 from cellwise.estimate.equations.weighing import (
     Innovation,
     contradicted_after,
     judge,
-    judge_component,
     persistent_after,
     weight_of,
 )
 from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
     ask_for_offset,
     count_offset,
     innovate,
     outside,
     shared_by,
-    steps_of_evidence,
+    time_of_evidence,
     watch_current,
     watch_voltage,
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
-    Point,
-    Slopes,
     aged,
     look_up,
     no_slopes,
@@ -44,7 +41,6 @@ from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follo
 from cellwise.estimate.fixed.state import (
     cross_gap,
     forget_offset,
-    guess_branches,
     heat,
     is_sound,
     open_up,
@@ -74,7 +70,7 @@ def contradict(
     c: Constants, x: State, innovation: Innovation, innovation_V: float, beyond: int
 ) -> None:
     """What the voltages say against the count. Beyond the model's data they confirm nothing."""
-    now = contradicted_after(c, x, innovation, innovation_V, steps_of_evidence(x))
+    now = contradicted_after(c, x, innovation, innovation_V, time_of_evidence(x))
     confirms = beyond != U(0) and magnitude(now) < magnitude(x.contradicted)
     if size_within(now, 1.0) and not confirms:  # a number
         x.contradicted = now
@@ -121,14 +117,7 @@ def weigh(
     A first sample under load says more of the load than of the SOC.
     """
     status = U(0)
-    if BANK and x.in_bank == COMPONENT:
-        if not (x.error_V2 > 0.0):
-            x.error_V2 = innovation.single_V2
-        shared = shared_by(c, x, reading.delayed_current_A)
-        if reading.news == INTERVAL or shared.above <= shared.below:
-            used = judge_component(c, x, innovation, innovation_V, steps_of_evidence(x), shared)
-            x.cost = x.cost + used.cost
-            fuse(c, x, p, innovation, used.off_V, used.inverse)
+    if BANK and x.in_bank == COMPONENT:  # its components use it
         begin_evidence(x)
     else:
         lately = c.lately if reading.news == INTERVAL else 0.0
@@ -247,7 +236,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     if charge.missing != U(0):
         cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
     slopes = no_slopes(p)
-    if WIDE and x.ss > WIDE_VARIANCE:
+    if WIDE and x.ss > WIDE_VARIANCE and not (BANK and x.in_bank == COMPONENT):
         slopes = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
     if reading.news == INTERVAL:
         predict(c, x, p, slopes, reading.counted_current_A, reading.unmeasured_A2)
@@ -261,3 +250,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     status = U(status | beyond)
     out.status = status
     return status
+
+
+def coast(m: Model, x: State, sample: Sample, out: Output) -> int:
+    """The estimate over an interval, and the voltage it expects, which moves the components."""
+    x.in_bank = COMPONENT
+    return step(m, x, sample, out)
