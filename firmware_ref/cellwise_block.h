@@ -162,10 +162,10 @@ static void step_component(const cellwise_model *m, cellwise_state *x, const cel
     if (POSITIVE_ABOVE(1.0f, x->ss)) {
         add_variance(x, o->variance);
     }
-    cellwise_expected expected;
-    use_block(m, x, block, &p, &slopes, mismatch, &expected);
+    cellwise_expected said;
+    use_block(m, x, block, &p, &slopes, mismatch, &said);
     hold_within(x);
-    *expected = expected;
+    *expected = said;
 }
 
 #endif

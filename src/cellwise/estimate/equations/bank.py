@@ -542,9 +542,9 @@ def step_component(
         tilt(x, slopes, *(o.gain[i] * o.current[i] for i in BRANCHES))
     if positive_above(1.0, x.ss):
         add_variance(x, o.variance)
-    expected = use_block(m, x, block, p, slopes, mismatch)
+    said = use_block(m, x, block, p, slopes, mismatch)
     hold_within(x)
-    return Expected(expected.voltage_V, expected.variance_V2)
+    return Expected(said.voltage_V, said.variance_V2)
 
 
 @part
