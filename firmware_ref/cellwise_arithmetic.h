@@ -33,6 +33,10 @@
 #define LOOK_FACTOR 4.0f /* and each time so much longer */
 #define LOOKS 3u /* times */
 #define NEVER_LOOKED 0xFFFFFFFFu /* before the first sample */
+#define NO_LOOK 0u
+#define OPENED 1u
+#define FIRST_LOOK 2u
+#define NEXT_LOOK 3u
 #define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
 #define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
 #define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06: a millivolt of what it has left is always open */

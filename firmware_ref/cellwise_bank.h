@@ -5,39 +5,6 @@
 
 #include "cellwise_block.h"
 
-/* Every component over the block that ends now, and what they have expected together. */
-static void step_components(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool begins,
-                            bool alone)
-{
-    const cellwise_constants *const c = &m->constant;
-    cellwise_place place;
-    place_now(m, &of[0u], &place);
-    cellwise_point p;
-    look_up(m, &place, of[0u].soc, b->block_A, &p);
-    cellwise_movement o;
-    movement_of(m, b, &of[0u], &p, &o);
-    cellwise_block block;
-    block_of(m, b, &of[0u], of[b->likeliest].soc, &place, &p, alone, &block);
-    float mean_V = 0.0f;
-    float square_V2 = 0.0f;
-    float variance_V2 = 0.0f;
-    for (uint32_t k = 0u; k < count; k++) {
-        if (of[k + 1u].cost < GIVEN_UP) {
-            cellwise_expected expected;
-            step_component(m, &of[k + 1u], &place, &o, &block, begins, b->mismatch, &expected);
-            const float off_V = block.voltage_V - expected.voltage_V;
-            mean_V = mean_V + (of[k + 1u].weight * off_V);
-            square_V2 = square_V2 + (of[k + 1u].weight * (off_V * off_V));
-            variance_V2 = variance_V2 + (of[k + 1u].weight * expected.variance_V2);
-        }
-    }
-    of[0u].error_V2 = mixture_variance(variance_V2, mean_V, square_V2);
-    if (block.share > 0.0f) {
-        const float most = at_most((mean_V * mean_V) / of[0u].error_V2, c->mismatch_cap);
-        b->mismatch = lately_shown(b->mismatch, most, at_most(c->lately * b->steps, 1.0f));
-    }
-}
-
 /* The cost of the likeliest component. */
 static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t count)
 {
@@ -51,17 +18,89 @@ static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t c
     return least;
 }
 
-/* The components over a block, what it says of the past, their weights and the estimate. */
-static void close_block(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool begins,
-                        bool alone, bool lost)
+/* What a block has been, for the components whose turns come; the next one begins. */
+static void end_block(const cellwise_model *m, cellwise_bank *b, const cellwise_state *of, uint32_t count,
+                      const cellwise_place *place)
 {
-    step_components(m, b, of, count, begins, alone);
-    look_back(m, b, of, count, lost);
+    cellwise_point p;
+    look_up(m, place, of[0u].soc, b->block_A, &p);
+    note_movement(m, b, &of[0u], &p);
+    note_voltage(m, b, &of[0u], of[b->likeliest].soc, place, &p);
+    ask_for_look(m, b);
+    b->sum_V = 0.0f;
+    b->square_V2 = 0.0f;
+    b->own_V2 = 0.0f;
+    b->turn = next_turn(of, count, 1u);
+    begin_block(b, &of[0u]);
+}
+
+/* The estimate from where the last block ended to now; `before_V` is what it expected. The mean of the innovations
+ * of the block that is open is taken beside the new one. */
+static void carry_estimate(const cellwise_model *m, cellwise_bank *b, cellwise_state *x, const cellwise_place *place,
+                           float before_V)
+{
+    add(&x->soc, &x->soc_carry, b->moved);
+    cellwise_point p;
+    look_up(m, place, x->soc, b->block_A, &p);
+    cellwise_slopes slopes;
+    no_slopes(&p, &slopes);
+    carry_on(x, b, &p, &slopes);
+    hold_within(x);
+    b->off_V = b->off_V + (before_V - voltage_at(x, &p, p.r0_ohm * b->block_A));
+}
+
+/* Every component has had its turn: their weights, and the estimate as it is now. */
+static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                      const cellwise_place *place)
+{
+    const cellwise_constants *const c = &m->constant;
+    of[0u].error_V2 = mixture_variance(b->own_V2, b->sum_V, b->square_V2);
+    if (b->share > 0.0f) {
+        const float most = at_most((b->sum_V * b->sum_V) / of[0u].error_V2, c->mismatch_cap);
+        b->mismatch = lately_shown(b->mismatch, most, b->lately);
+    }
+    note_look(m, b);
+    b->turn = 0u;
     if (has_voltage(&of[0u])) { /* else it is as it was stated */
+        cellwise_point p;
+        look_up(m, place, of[0u].soc, b->block_A, &p);
+        const float before_V = voltage_at(&of[0u], &p, p.r0_ohm * b->block_A);
+        note_movement(m, b, &of[0u], &p);
         weigh_components(of, count, likeliest_of(b, of, count));
         gather(b, of, count);
+        note_estimate(b, &of[0u]);
+        carry_estimate(m, b, &of[0u], place, before_V);
     }
-    begin_block(b, &of[0u]);
+}
+
+/* The first component from `first` on that is not given up; behind the last one: none. */
+static uint32_t next_turn(const cellwise_state *of, uint32_t count, uint32_t first)
+{
+    uint32_t due = first;
+    while ((due <= count) && (of[due].cost >= GIVEN_UP)) {
+        due = due + 1u;
+    }
+    return due;
+}
+
+/* The components over the block that has ended: one with every sample, or all at once. */
+static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count)
+{
+    cellwise_place place;
+    place_now(m, &of[0u], &place);
+    if (b->turn <= count) {
+        step_component(m, b, &of[b->turn], &place);
+        b->turn = next_turn(of, count, b->turn + 1u);
+    } else {
+        use_block(m, b, of, count, &place);
+    }
+}
+
+/* Whether a block is: at the first sample, the first voltage, a gap, or after its time. */
+static bool is_over(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x)
+{
+    const bool begins = (b->looks == NEVER_LOOKED) || (has_voltage(x) && (b->known == 0u));
+    return begins || (b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps);
 }
 
 /* One time step of components that do not agree yet: the status. The estimate goes on by the current. The components
@@ -70,18 +109,18 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
                             const cellwise_input *sample, cellwise_output *out, float elapsed, bool lost)
 {
     const bool begins = is_new(&of[0u]);
-    const bool knew = has_voltage(&of[0u]);
     const float before_A = of[0u].current_A;
     uint32_t status = coast(m, &of[0u], sample, out);
     if (of[0u].error_V2 > 0.0f) {
         out->innovation_variance_V2 = of[0u].error_V2;
     }
     if (begins || (elapsed > 0.0f)) {
-        const bool first = has_voltage(&of[0u]) && !knew;
         collect_sample(m, b, &of[0u], out->innovation_V, begins ? 0.0f : elapsed, lost, before_A);
-        if (begins || first || lost || (b->steps >= m->constant.block_steps)) {
-            const bool alone = first && SIZE_BELOW(of[0u].current_A, m->constant.rest_A);
-            close_block(m, b, of, count, begins, alone, lost && !begins);
+        if (b->turn > 0u) {
+            take_turns(m, b, of, count);
+        } else if (is_over(m, b, &of[0u])) {
+            end_block(m, b, of, count, &place_now(m, &of[0u]));
+        } else { /* as before */
         }
         if (uses_voltage(&of[0u])) {
             const float square = out->innovation_V * out->innovation_V;
@@ -106,20 +145,20 @@ static bool is_lost(const cellwise_state *x)
 /* The numbers of a block in their range. */
 static bool is_block_sound(cellwise_bank *b)
 {
-    bool good = WITHIN(b->off_V, -LARGE, LARGE) && WITHIN(b->block_A, -LARGE, LARGE);
-    if (!WITHIN(b->soc, -LARGE, LARGE)) {
+    bool good = SIZE_WITHIN(b->off_V, LARGE) && SIZE_WITHIN(b->block_A, LARGE);
+    if (!SIZE_WITHIN(b->soc, LARGE)) {
         good = false;
     }
-    if (!WITHIN(b->v1_V, -LARGE, LARGE)) {
+    if (!SIZE_WITHIN(b->v1_V, LARGE)) {
         good = false;
     }
-    if (!WITHIN(b->v2_V, -LARGE, LARGE)) {
+    if (!SIZE_WITHIN(b->v2_V, LARGE)) {
         good = false;
     }
-    if (!WITHIN(b->v3_V, -LARGE, LARGE)) {
+    if (!SIZE_WITHIN(b->v3_V, LARGE)) {
         good = false;
     }
-    if (!WITHIN(b->h, -LARGE, LARGE)) {
+    if (!SIZE_WITHIN(b->h, LARGE)) {
         good = false;
     }
     if (!NOT_NEGATIVE(b->ss, LARGE) || !NOT_NEGATIVE(b->unknown_A2, LARGE)) {
@@ -134,11 +173,51 @@ static bool is_block_sound(cellwise_bank *b)
     return good;
 }
 
+/* Those of the block that the components follow. */
+static bool is_past_block_sound(cellwise_bank *b)
+{
+    bool good = SIZE_WITHIN(b->moved, LARGE) && NOT_NEGATIVE(b->grown, LARGE);
+    if (!NOT_NEGATIVE(b->gain1, 1.0f) || !SIZE_WITHIN(b->current1, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->gain2, 1.0f) || !SIZE_WITHIN(b->current2, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->gain3, 1.0f) || !SIZE_WITHIN(b->current3, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->square_A2, LARGE) || !NOT_NEGATIVE(b->lately, 1.0f)) {
+        good = false;
+    }
+    if (!(NOT_NEGATIVE(b->keep_h, 1.0f) && SIZE_WITHIN(b->rise_h, LARGE))) {
+        good = false;
+    }
+    if (!SIZE_WITHIN(b->said_V, LARGE) || !SIZE_WITHIN(b->said_A, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->error_V2, SINCE_MOST) || !NOT_NEGATIVE(b->weight_V2, SINCE_MOST)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->below, SINCE_MOST) || !NOT_NEGATIVE(b->share, 1.0f)) {
+        good = false;
+    }
+    if (!SIZE_WITHIN(b->sum_V, LARGE) || !NOT_NEGATIVE(b->square_V2, LARGE)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->own_V2, LARGE)) {
+        good = false;
+    }
+    return good;
+}
+
 /* CW-019. Every number of a bank in its range: memory that lost its content is noticed. */
 static bool bank_is_sound(const cellwise_constants *c, cellwise_bank *b, const cellwise_state *of, uint32_t count)
 {
     bool good = WITHIN(b->mean_A, -LARGE, LARGE) && WITHIN(b->looked_A, -LARGE, LARGE);
-    if (!is_block_sound(b)) {
+    if (!is_block_sound(b) || (b->turn > (count + 1u)) || (b->known > 1u) || (b->look > NEXT_LOOK)) {
+        good = false;
+    }
+    if ((b->turn > 0u) && !is_past_block_sound(b)) {
         good = false;
     }
     if (!NOT_NEGATIVE(b->mismatch, LARGE) || !NOT_NEGATIVE(b->since, SINCE_MOST)) {
@@ -157,7 +236,8 @@ static bool bank_is_sound(const cellwise_constants *c, cellwise_bank *b, const c
         if ((of[k + 1u].cost < GIVEN_UP) && (of[k + 1u].in_bank != COMPONENT)) {
             good = false;
         }
-        if ((of[k + 1u].cost < GIVEN_UP) && !is_sound(c, &of[k + 1u])) {
+        const bool now = (b->turn == (k + 1u)) || (b->turn > count) || (b->likeliest == (k + 1u));
+        if (now && (of[k + 1u].cost < GIVEN_UP) && !is_sound(c, &of[k + 1u])) {
             good = false;
         }
     }
@@ -196,9 +276,6 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
         status = cellwise_step(m, &of[0u], sample, out);
     } else {
         status = step_spread(m, b, of, count, sample, out, (float)elapsed, elapsed > 1u);
-        if ((b->spread != 0u) && !bank_is_sound(&m->constant, b, of, count)) {
-            damaged = know_nothing(m, b, of, count);
-        }
     }
     if ((of[0u].in_bank == CONTRADICTED) || is_lost(&of[0u])) {
         spread_again(b, of, count);

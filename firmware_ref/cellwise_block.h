@@ -5,40 +5,6 @@
 
 #include "cellwise_past.h"
 
-/* What a block of samples has done to the estimate, and does to every component. Charge has moved the SOC, and its
- * variance has grown. Each branch has followed a constant `current`, by its `gain`; what is not known of that has a
- * mean square of `square_A2`. Of h the share `keep_h` is left, and `rise_h` has come. */
-typedef struct {
-    float soc;
-    float variance;
-    float gain1;
-    float gain2;
-    float gain3;
-    float current1;
-    float current2;
-    float current3;
-    float square_A2;
-    float keep_h;
-    float rise_h;
-} cellwise_movement;
-
-/* What the voltages of a block say, as one voltage under its mean current. `error_V2` is the variance of that
- * voltage, `weight_V2` over `below` what it weighs with, `share` of it is new; 0 where there is none. */
-typedef struct {
-    float voltage_V;
-    float current_A;
-    float error_V2;
-    float weight_V2;
-    float below;
-    float share;
-} cellwise_block;
-
-/* The voltage that a component expects, and the variance of an innovation. */
-typedef struct {
-    float voltage_V;
-    float variance_V2;
-} cellwise_expected;
-
 /* A sample into its block; `before_A` is the current of the one before. */
 static void collect_sample(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, float off_V,
                            float elapsed, bool lost, float before_A)
@@ -58,38 +24,41 @@ static void collect_sample(const cellwise_model *m, cellwise_bank *b, const cell
     }
 }
 
-/* Of the estimate `x` since the block began; `p` are the tables where it is now. */
-static void movement_of(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, const cellwise_point *p,
-                        cellwise_movement *movement)
+/* What the block has done to the estimate `x`, so it does to every component. Charge has moved the SOC, and its
+ * variance has grown. Each branch has followed a constant current, by its gain; what is not known of that has a mean
+ * square. Of h a share is left, and some has come. `p` are the tables where the estimate is now. */
+static void note_movement(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, const cellwise_point *p)
 {
-    movement->gain1 = risen(b->steps * p->gain1);
-    movement->current1 = b->block_A;
-    if ((p->r1_ohm > 0.0f) && (movement->gain1 > 0.0f)) {
-        movement->current1 = (b->v1_V + ((x->v1_V - b->v1_V) / movement->gain1)) / p->r1_ohm;
+    b->moved = x->soc - b->soc;
+    b->grown = at_least(x->ss - b->ss, 0.0f);
+    b->gain1 = risen(b->steps * p->gain1);
+    b->current1 = b->block_A;
+    if ((p->r1_ohm > 0.0f) && (b->gain1 > 0.0f)) {
+        float constant_A = (b->v1_V + ((x->v1_V - b->v1_V) / b->gain1)) / p->r1_ohm;
+        b->current1 = clip(constant_A, -LARGE, LARGE);
     }
-    movement->gain2 = risen(b->steps * p->gain2);
-    movement->current2 = b->block_A;
-    if ((p->r2_ohm > 0.0f) && (movement->gain2 > 0.0f)) {
-        movement->current2 = (b->v2_V + ((x->v2_V - b->v2_V) / movement->gain2)) / p->r2_ohm;
+    b->gain2 = risen(b->steps * p->gain2);
+    b->current2 = b->block_A;
+    if ((p->r2_ohm > 0.0f) && (b->gain2 > 0.0f)) {
+        float constant_A = (b->v2_V + ((x->v2_V - b->v2_V) / b->gain2)) / p->r2_ohm;
+        b->current2 = clip(constant_A, -LARGE, LARGE);
     }
-    movement->gain3 = risen(b->steps * p->gain3);
-    movement->current3 = b->block_A;
-    if ((p->r3_ohm > 0.0f) && (movement->gain3 > 0.0f)) {
-        movement->current3 = (b->v3_V + ((x->v3_V - b->v3_V) / movement->gain3)) / p->r3_ohm;
+    b->gain3 = risen(b->steps * p->gain3);
+    b->current3 = b->block_A;
+    if ((p->r3_ohm > 0.0f) && (b->gain3 > 0.0f)) {
+        float constant_A = (b->v3_V + ((x->v3_V - b->v3_V) / b->gain3)) / p->r3_ohm;
+        b->current3 = clip(constant_A, -LARGE, LARGE);
     }
-    movement->keep_h = 1.0f;
-    movement->rise_h = 0.0f;
-    movement->keep_h = 1.0f - risen((m->constant.hysteresis_per_A * magnitude(b->block_A)) * b->steps);
-    movement->rise_h = x->h - (movement->keep_h * b->h);
-    movement->soc = x->soc - b->soc;
-    movement->variance = at_least(x->ss - b->ss, 0.0f);
-    movement->square_A2 = unknown_square(share_of(&m->constant, b->block_A), b->block_A, b->unknown_A2);
+    b->square_A2 = unknown_square(share_of(&m->constant, b->block_A), b->block_A, b->unknown_A2);
+    b->keep_h = 1.0f - risen((m->constant.hysteresis_per_A * magnitude(b->block_A)) * b->steps);
+    b->rise_h = x->h - (b->keep_h * b->h);
 }
 
-/* What the voltages say beside the estimate `x`, which has been at `p`. Their variance is that at the likeliest
- * component, for all: one whose tables state a larger error must not explain everything. */
-static void block_of(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, float likeliest_soc,
-                     const cellwise_place *place, const cellwise_point *p, bool alone, cellwise_block *block)
+/* What the voltages of a block say, as one under its mean current, beside the estimate `x`. Its variance is that at
+ * the likeliest component, for all: one whose tables state a larger error must not explain everything. `share` of it
+ * is new, 0 where there is none. */
+static void note_voltage(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, float likeliest_soc,
+                         const cellwise_place *place, const cellwise_point *p)
 {
     const cellwise_constants *const c = &m->constant;
     cellwise_point here;
@@ -97,75 +66,85 @@ static void block_of(const cellwise_model *m, cellwise_bank *b, const cellwise_s
     const float held_V = ((magnitude(here.r0_ohm * b->block_A) + magnitude(x->v1_V)) + magnitude(x->v2_V)) +
         magnitude(x->v3_V);
     const float beyond_V = beyond_data(m, x, b->block_A, held_V);
-    block->error_V2 = single_variance(c, here.noise_V2, b->block_A, held_V, unmeasured(m, x), here.r0_ohm) +
+    b->error_V2 = single_variance(c, here.noise_V2, b->block_A, held_V, unmeasured(m, x), here.r0_ohm) +
         (beyond_V * beyond_V);
+    const bool alone = (b->known == 0u) && SIZE_BELOW(b->block_A, c->rest_A);
     const float since = time_of_evidence(x);
     cellwise_shared shared;
     shared_evidence(c, since, alone ? 1.0f : b->steps, alone, &shared);
-    block->share = 0.0f;
+    b->said_V = voltage_at(x, p, p->r0_ohm * b->block_A) + b->off_V;
+    b->said_A = b->block_A;
+    b->weight_V2 = as_shown(b->error_V2 * at_least(shared.above, shared.below), b->mismatch);
+    b->below = shared.below;
+    b->share = 0.0f;
     if ((b->readings > 0.0f) && (shared.below > 0.0f)) {
-        block->share = evidence_share(c->fades, c->stays, c->shared, since);
+        b->share = evidence_share(c->fades, c->stays, c->shared, since);
     }
-    block->voltage_V = voltage_at(x, p, p->r0_ohm * b->block_A) + b->off_V;
-    block->current_A = b->block_A;
-    block->weight_V2 = as_shown(block->error_V2 * at_least(shared.above, shared.below), b->mismatch);
-    block->below = shared.below;
+    b->lately = at_most(c->lately * b->steps, 1.0f);
 }
 
-/* The voltage of a block to a component: none is rejected, each moves by what the gate lets. */
-static void use_block(const cellwise_model *m, cellwise_state *x, const cellwise_block *block, const cellwise_point *p,
-                      const cellwise_slopes *slopes, float mismatch, cellwise_expected *expected)
+/* A state over a block, its SOC apart: what the estimate has done, by its own tables. */
+static void carry_on(cellwise_state *x, cellwise_bank *b, const cellwise_point *p, const cellwise_slopes *slopes)
+{
+    relax(x, p, b->gain1, b->gain2, b->gain3, b->current1, b->current2, b->current3, b->square_A2);
+    x->h = clip((b->keep_h * x->h) + b->rise_h, -1.0f, 1.0f);
+    fade_hysteresis(x, b->keep_h);
+    if (slopes->spread > 0.0f) {
+        tilt(x, slopes, b->gain1 * b->current1, b->gain2 * b->current2, b->gain3 * b->current3);
+    }
+    if (POSITIVE_ABOVE(1.0f, x->ss)) {
+        add_variance(x, b->grown);
+    }
+}
+
+/* The voltage of a block to a component: none is rejected, each moves by what the gate lets. What all of them have
+ * expected is kept for the mixture. */
+static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_bank *b, const cellwise_point *p,
+                        const cellwise_slopes *slopes)
 {
     const cellwise_constants *const c = &m->constant;
     cellwise_column column;
     column_of(x, slopes->slope_V, p->m_V, &column);
     const float explained_V2 = bent_variance(explained(&column, slopes->slope_V, p->m_V), slopes->bend_V);
-    expected->voltage_V = voltage_at(x, p, p->r0_ohm * block->current_A);
-    expected->variance_V2 = explained_V2 + block->error_V2;
-    if (block->share > 0.0f) {
+    const float off_V = b->said_V - voltage_at(x, p, p->r0_ohm * b->said_A);
+    const float variance_V2 = explained_V2 + b->error_V2;
+    b->sum_V = b->sum_V + (x->weight * off_V);
+    b->square_V2 = b->square_V2 + (x->weight * (off_V * off_V));
+    b->own_V2 = b->own_V2 + (x->weight * variance_V2);
+    if (b->share > 0.0f) {
         cellwise_componentupdate used;
-        component_update(block->voltage_V - expected->voltage_V, expected->variance_V2, c->gate_square, explained_V2,
-                         block->weight_V2, block->below, block->share, &used);
+        component_update(off_V, variance_V2, c->gate_square, explained_V2, b->weight_V2, b->below, b->share, &used);
         cellwise_column gain;
         scaled(&column, used.inverse, &gain);
         x->cost = x->cost + used.cost;
         move(x, &gain, used.off_V);
         narrow(x, &gain, &column);
-        const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, mismatch);
+        const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, b->mismatch);
         const float persistent = persistent_step(gain.s, slopes->slope_V, x->persistent, error_V);
         x->persistent = clip(persistent, -1.0f, 1.0f);
     }
+    hold_within(x);
 }
 
 /* A component over a block: what the estimate has done, at its own SOC, then the voltage. */
-static void step_component(const cellwise_model *m, cellwise_state *x, const cellwise_place *place,
-                           const cellwise_movement *o, const cellwise_block *block, bool begins, float mismatch,
-                           cellwise_expected *expected)
+static void step_component(const cellwise_model *m, cellwise_bank *b, cellwise_state *x, const cellwise_place *place)
 {
-    add(&x->soc, &x->soc_carry, o->soc);
+    add(&x->soc, &x->soc_carry, b->moved);
     cellwise_point p;
-    look_up(m, place, x->soc, block->current_A, &p);
-    if (begins) {
-        guess_branches(&m->constant, x, &p, block->current_A);
+    look_up(m, place, x->soc, b->said_A, &p);
+    if (b->looks == NEVER_LOOKED) {
+        guess_branches(&m->constant, x, &p, b->said_A);
     }
     cellwise_slopes slopes;
     no_slopes(&p, &slopes);
     if (x->ss > WIDE_VARIANCE) {
-        slopes_of(m, place, x->soc, root(x->ss), block->current_A, &p, &slopes);
+        slopes_of(m, place, x->soc, root(x->ss), b->said_A, &p, &slopes);
     }
-    relax(x, &p, o->gain1, o->gain2, o->gain3, o->current1, o->current2, o->current3, o->square_A2);
-    x->h = clip((o->keep_h * x->h) + o->rise_h, -1.0f, 1.0f);
-    fade_hysteresis(x, o->keep_h);
-    if (slopes.spread > 0.0f) {
-        tilt(x, &slopes, o->gain1 * o->current1, o->gain2 * o->current2, o->gain3 * o->current3);
+    carry_on(x, b, &p, &slopes);
+    weigh_block(m, x, b, &p, &slopes);
+    if (b->look != NO_LOOK) {
+        look_back(m, b, place, x);
     }
-    if (POSITIVE_ABOVE(1.0f, x->ss)) {
-        add_variance(x, o->variance);
-    }
-    cellwise_expected said;
-    use_block(m, x, block, &p, &slopes, mismatch, &said);
-    hold_within(x);
-    *expected = said;
 }
 
 #endif

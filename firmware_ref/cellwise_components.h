@@ -34,8 +34,8 @@ static void weigh_components(cellwise_state *of, uint32_t count, float least)
     }
 }
 
-/* Nothing seen yet; where the estimate `x` is now. */
-static void begin_block(cellwise_bank *b, const cellwise_state *x)
+/* Where the estimate is as a block begins. */
+static void note_estimate(cellwise_bank *b, const cellwise_state *x)
 {
     b->soc = x->soc;
     b->v1_V = x->v1_V;
@@ -43,6 +43,13 @@ static void begin_block(cellwise_bank *b, const cellwise_state *x)
     b->v3_V = x->v3_V;
     b->h = x->h;
     b->ss = x->ss;
+}
+
+/* Nothing seen yet; where the estimate `x` is now. */
+static void begin_block(cellwise_bank *b, const cellwise_state *x)
+{
+    note_estimate(b, x);
+    b->known = has_voltage(x) ? 1u : 0u;
     b->steps = 0.0f;
     b->samples = 0.0f;
     b->readings = 0.0f;
@@ -68,6 +75,7 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
     stand_alone(&of[0u]);
     begin_block(b, &of[0u]);
     b->spread = 1u;
+    b->turn = 0u;
     b->mismatch = of[0u].mismatch;
     weigh_components(of, count, least);
 }

@@ -134,6 +134,30 @@ typedef struct {
     float off_V; /* the mean of their innovations, */
     float block_A; /* of their current, */
     float unknown_A2; /* and of a current that nobody measured */
+    uint32_t known; /* 1: a voltage has been used before it */
+    uint32_t turn; /* the component that follows the last block next; 0: none */
+    uint32_t look; /* at the past, that goes with it */
+    float moved; /* what it has done: to the SOC, */
+    float grown; /* to its variance, */
+    float gain1; /* to the branches, each */
+    float gain2;
+    float gain3;
+    float current1; /* by a current, */
+    float current2;
+    float current3;
+    float square_A2; /* of which so much is not known, */
+    float keep_h; /* and to h */
+    float rise_h;
+    float said_V; /* its voltage, */
+    float said_A; /* under this current, */
+    float error_V2; /* its variance, */
+    float weight_V2; /* and what it weighs with, */
+    float below; /* over this; */
+    float share; /* how much of it is new */
+    float lately; /* its weight in the running mismatch */
+    float sum_V; /* off what components have expected, their mean, */
+    float square_V2; /* mean square, */
+    float own_V2; /* and variance */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 

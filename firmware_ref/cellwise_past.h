@@ -74,41 +74,51 @@ static void open_slow_branch(const cellwise_model *m, const cellwise_place *plac
     a->p33 = a->p33 + (wide_V * wide_V);
 }
 
-/* The mean of the load since a start under load, and what it says of the past, three times. At the end of a block;
- * `lost` where more may have flowed in it. */
-static NOINLINE void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, bool lost)
+/* What the load since a start under load says of the past, three times: to one component. */
+static NOINLINE void look_back(const cellwise_model *m, cellwise_bank *b, const cellwise_place *place,
+                               cellwise_state *a)
 {
-    cellwise_place place;
-    place_now(m, &of[0u], &place);
-    const float current_A = b->block_A;
+    if (b->look == OPENED) {
+        open_slow_branch(m, place, a, b->said_A);
+    } else if (b->look == FIRST_LOOK) {
+        know_past(m, place, a, b->since, b->mean_A);
+    } else {
+        know_past_better(m, place, a, b->since, b->mean_A, b->looked_A);
+    }
+}
+
+/* The mean of the load since a start under load, and whether the past is looked at now. */
+static void ask_for_look(const cellwise_model *m, cellwise_bank *b)
+{
+    b->look = NO_LOOK;
     if (b->looks == NEVER_LOOKED) {
-        b->looks = LOOKS;
-        if (!SIZE_BELOW(current_A, m->constant.rest_A)) {
-            b->looks = 0u;
-            b->next_look = m->constant.look_steps;
-            for (uint32_t k = 0u; k < count; k++) {
-                open_slow_branch(m, &place, &of[k + 1u], current_A);
-            }
+        if (!SIZE_BELOW(b->block_A, m->constant.rest_A)) {
+            b->look = OPENED;
         }
-    } else if (lost) { /* nobody knows what flowed */
+    } else if (b->unknown_A2 > 0.0f) { /* nobody knows what flowed */
         b->looks = LOOKS;
     } else if ((b->looks < LOOKS) && (b->steps > 0.0f)) {
         b->since = b->since + b->steps;
-        b->mean_A = b->mean_A + ((current_A - b->mean_A) * (b->steps / b->since));
+        b->mean_A = b->mean_A + ((b->block_A - b->mean_A) * (b->steps / b->since));
         if (b->since >= b->next_look) {
-            for (uint32_t k = 0u; k < count; k++) {
-                if (of[k + 1u].cost < GIVEN_UP) {
-                    if (b->looks == 0u) {
-                        know_past(m, &place, &of[k + 1u], b->since, b->mean_A);
-                    } else {
-                        know_past_better(m, &place, &of[k + 1u], b->since, b->mean_A, b->looked_A);
-                    }
-                }
-            }
-            b->looked_A = b->mean_A;
-            b->looks = b->looks + 1u;
-            b->next_look = b->next_look * LOOK_FACTOR;
+            b->look = (b->looks == 0u) ? FIRST_LOOK : NEXT_LOOK;
         }
+    } else { /* as before */
+    }
+}
+
+/* Every component has looked at it, or the first sample has gone by. */
+static void note_look(const cellwise_model *m, cellwise_bank *b)
+{
+    if (b->look == OPENED) {
+        b->looks = 0u;
+        b->next_look = m->constant.look_steps;
+    } else if (b->look != NO_LOOK) {
+        b->looked_A = b->mean_A;
+        b->looks = b->looks + 1u;
+        b->next_look = b->next_look * LOOK_FACTOR;
+    } else if (b->looks == NEVER_LOOKED) {
+        b->looks = LOOKS;
     } else { /* as before */
     }
 }

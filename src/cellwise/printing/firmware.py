@@ -110,7 +110,7 @@ FIRST = {
     "components.py": "likelihood",
     "lookup.py": "place", "resistances_at": "lookup",
     "step.py": "correction", "begin_at": "step",
-    "bank.py": "components", "left_by_load": "past", "Movement": "block", "step_components": "bank",
+    "bank.py": "components", "left_by_load": "past", "collect_sample": "block", "likeliest_of": "bank",
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "capacity",

@@ -18,7 +18,7 @@ names.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from cellwise.cell.compiled import noinline, part
 from cellwise.cell.description import BRANCHES, CELL, V3, triangle
@@ -32,7 +32,7 @@ from cellwise.cell.equations.double import (
     vanishing,
 )
 from cellwise.cell.equations.scalar import at_least, at_most, clip
-from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.components import (
     component_from,
     component_update,
@@ -45,10 +45,15 @@ from cellwise.estimate.equations.components import (
     soc_on_way,
 )
 from cellwise.estimate.equations.constants import (
+    FIRST_LOOK,
     GIVEN_UP,
+    LARGE,
     LOOK_FACTOR,
     LOOKS,
     NEVER_LOOKED,
+    NEXT_LOOK,
+    NO_LOOK,
+    OPENED,
     PAST_PART,
     WIDE_VARIANCE,
 )
@@ -101,8 +106,7 @@ from cellwise.estimate.status import INNOVATION_REJECTED
 
 F, U = float, int  # kinds of numbers; those of the fixed step are of four bytes
 SLOW = HYSTERESIS = True  # states that a fixed step may do without
-SlowFloat: TypeAlias = Any
-HysteresisFloat: TypeAlias = Any
+AT_ONCE = True  # a target has no time for every component in one sample
 Model: TypeAlias = Any
 State: TypeAlias = Any
 States: TypeAlias = Any
@@ -139,11 +143,18 @@ def weigh_components(of: States, count: int, least: float) -> None:
 
 @part
 @unrolled_by_option
-def begin_block(b: Bank, x: State) -> None:
-    """Nothing seen yet; where the estimate ``x`` is now."""
+def note_estimate(b: Bank, x: State) -> None:
+    """Where the estimate is as a block begins."""
     for i in CELL:
         b.state[i] = x.state[i]
     b.ss = x.ss
+
+
+@part
+def begin_block(b: Bank, x: State) -> None:
+    """Nothing seen yet; where the estimate ``x`` is now."""
+    note_estimate(b, x)
+    b.known = U(1) if has_voltage(x) else U(0)
     b.steps = 0.0
     b.samples = 0.0
     b.readings = 0.0
@@ -167,6 +178,7 @@ def spread_out(b: Bank, of: States, count: int) -> None:
     stand_alone(of[0])
     begin_block(b, of[0])
     b.spread = U(1)
+    b.turn = U(0)
     b.mismatch = of[0].mismatch
     weigh_components(of, count, least)
 
@@ -324,90 +336,44 @@ def open_slow_branch(m: Model, place: Place, a: State, current_A: float) -> None
 
 @part
 @noinline
-def look_back(m: Model, b: Bank, of: States, count: int, lost: bool) -> None:
-    """The mean of the load since a start under load, and what it says of the past, three times.
+def look_back(m: Model, b: Bank, place: Place, a: State) -> None:
+    """What the load since a start under load says of the past, three times: to one component."""
+    if b.look == OPENED:
+        open_slow_branch(m, place, a, b.said_A)
+    elif b.look == FIRST_LOOK:
+        know_past(m, place, a, b.since, b.mean_A)
+    else:
+        know_past_better(m, place, a, b.since, b.mean_A, b.looked_A)
 
-    At the end of a block; ``lost`` where more may have flowed in it.
-    """
-    place = place_now(m, of[0])
-    current_A = b.block_A
+
+@part
+def ask_for_look(m: Model, b: Bank) -> None:
+    """The mean of the load since a start under load, and whether the past is looked at now."""
+    b.look = NO_LOOK
     if b.looks == NEVER_LOOKED:
-        b.looks = LOOKS
-        if not size_below(current_A, m.constant.rest_A):
-            b.looks = U(0)
-            b.next_look = m.constant.look_steps
-            for k in range(count):
-                open_slow_branch(m, place, of[k + 1], current_A)
-    elif lost:  # nobody knows what flowed
+        if not size_below(b.block_A, m.constant.rest_A):
+            b.look = OPENED
+    elif b.unknown_A2 > 0.0:  # nobody knows what flowed
         b.looks = LOOKS
     elif b.looks < LOOKS and b.steps > 0.0:
         b.since = b.since + b.steps
-        b.mean_A = b.mean_A + ((current_A - b.mean_A) * (b.steps / b.since))
+        b.mean_A = b.mean_A + ((b.block_A - b.mean_A) * (b.steps / b.since))
         if b.since >= b.next_look:
-            for k in range(count):
-                if of[k + 1].cost < GIVEN_UP:
-                    if b.looks == U(0):
-                        know_past(m, place, of[k + 1], b.since, b.mean_A)
-                    else:
-                        know_past_better(
-                            m, place, of[k + 1], b.since, b.mean_A, b.looked_A
-                        )
-            b.looked_A = b.mean_A
-            b.looks = U(b.looks + 1)
-            b.next_look = b.next_look * LOOK_FACTOR
+            b.look = FIRST_LOOK if b.looks == U(0) else NEXT_LOOK
 
 
-class Movement(NamedTuple):
-    """What a block of samples has done to the estimate, and does to every component.
-
-    Charge has moved the SOC, and its variance has grown. Each branch has followed a constant
-    ``current``, by its ``gain``; what is not known of that has a mean square of ``square_A2``. Of h
-    the share ``keep_h`` is left, and ``rise_h`` has come.
-    """
-
-    soc: float
-    variance: float
-    gain1: float
-    gain2: float
-    gain3: SlowFloat
-    current1: float
-    current2: float
-    current3: SlowFloat
-    square_A2: float
-    keep_h: HysteresisFloat
-    rise_h: HysteresisFloat
-
-    @property
-    def gain(self) -> dict[Any, float]:
-        """By the branch."""
-        return dict(zip(BRANCHES, self[2:5], strict=True))
-
-    @property
-    def current(self) -> dict[Any, float]:
-        """By the branch."""
-        return dict(zip(BRANCHES, self[5:8], strict=True))
-
-
-class Block(NamedTuple):
-    """What the voltages of a block say, as one voltage under its mean current.
-
-    ``error_V2`` is the variance of that voltage, ``weight_V2`` over ``below`` what it weighs with,
-    ``share`` of it is new; 0 where there is none.
-    """
-
-    voltage_V: float
-    current_A: float
-    error_V2: float
-    weight_V2: float
-    below: float
-    share: float
-
-
-class Expected(NamedTuple):
-    """The voltage that a component expects, and the variance of an innovation."""
-
-    voltage_V: float
-    variance_V2: float
+@part
+def note_look(m: Model, b: Bank) -> None:
+    """Every component has looked at it, or the first sample has gone by."""
+    if b.look == OPENED:
+        b.looks = U(0)
+        b.next_look = m.constant.look_steps
+    elif b.look != NO_LOOK:
+        b.looked_A = b.mean_A
+        b.looks = U(b.looks + 1)
+        b.next_look = b.next_look * LOOK_FACTOR
+    elif b.looks == NEVER_LOOKED:
+        b.looks = LOOKS
 
 
 @part
@@ -430,40 +396,34 @@ def collect_sample(
 
 @part
 @unrolled_by_option
-def movement_of(m: Model, b: Bank, x: State, p: Point) -> Movement:
-    """Of the estimate ``x`` since the block began; ``p`` are the tables where it is now."""
-    gain: dict[Any, float] = {}
-    current: dict[Any, float] = {}
+def note_movement(m: Model, b: Bank, x: State, p: Point) -> None:
+    """What the block has done to the estimate ``x``, so it does to every component.
+
+    Charge has moved the SOC, and its variance has grown. Each branch has followed a constant
+    current, by its gain; what is not known of that has a mean square. Of h a share is left, and
+    some has come. ``p`` are the tables where the estimate is now.
+    """
+    b.moved = x.soc - b.soc
+    b.grown = at_least(x.ss - b.ss, 0.0)
     for i in BRANCHES:
-        gain[i] = risen(b.steps * p.gain[i]) if THERE else 0.0
-        current[i] = b.block_A if THERE else 0.0
-        if p.r[i] > 0.0 and gain[i] > 0.0:
-            current[i] = (b.state[i] + ((x.state[i] - b.state[i]) / gain[i])) / p.r[i]
-    keep_h = 1.0
-    rise_h = 0.0
+        b.gain[i] = risen(b.steps * p.gain[i])
+        b.current[i] = b.block_A
+        if p.r[i] > 0.0 and b.gain[i] > 0.0:
+            constant_A = (b.state[i] + ((x.state[i] - b.state[i]) / b.gain[i])) / p.r[i]
+            b.current[i] = clip(constant_A, -LARGE, LARGE)
+    b.square_A2 = unknown_square(share_of(m.constant, b.block_A), b.block_A, b.unknown_A2)
     if HYSTERESIS:
-        keep_h = 1.0 - risen((m.constant.hysteresis_per_A * magnitude(b.block_A)) * b.steps)
-        rise_h = x.h - (keep_h * b.h)
-    return Movement(
-        x.soc - b.soc,
-        at_least(x.ss - b.ss, 0.0),
-        *(gain[i] for i in BRANCHES),
-        *(current[i] for i in BRANCHES),
-        unknown_square(share_of(m.constant, b.block_A), b.block_A, b.unknown_A2),
-        keep_h,
-        rise_h,
-    )
+        b.keep_h = 1.0 - risen((m.constant.hysteresis_per_A * magnitude(b.block_A)) * b.steps)
+        b.rise_h = x.h - (b.keep_h * b.h)
 
 
 @part
 @unrolled_by_option
-def block_of(
-    m: Model, b: Bank, x: State, likeliest_soc: float, place: Place, p: Point, alone: bool
-) -> Block:
-    """What the voltages say beside the estimate ``x``, which has been at ``p``.
+def note_voltage(m: Model, b: Bank, x: State, likeliest_soc: float, place: Place, p: Point) -> None:
+    """What the voltages of a block say, as one under its mean current, beside the estimate ``x``.
 
-    Their variance is that at the likeliest component, for all: one whose tables state a larger
-    error must not explain everything.
+    Its variance is that at the likeliest component, for all: one whose tables state a larger error
+    must not explain everything. ``share`` of it is new, 0 where there is none.
     """
     c = m.constant
     here = look_up(m, place, likeliest_soc, b.block_A)
@@ -471,106 +431,79 @@ def block_of(
     for i in BRANCHES:
         held_V = held_V + magnitude(x.state[i])
     beyond_V = beyond_data(m, x, b.block_A, held_V)
-    error_V2 = (
-        single_variance(c, here.noise_V2, b.block_A, held_V, unmeasured(m, x), here.r0_ohm)
-        + (beyond_V * beyond_V)
-    )
+    b.error_V2 = single_variance(
+        c, here.noise_V2, b.block_A, held_V, unmeasured(m, x), here.r0_ohm
+    ) + (beyond_V * beyond_V)
+    alone = b.known == U(0) and size_below(b.block_A, c.rest_A)
     since = time_of_evidence(x)
     shared = shared_evidence(c, since, 1.0 if alone else b.steps, alone)
-    share = 0.0
+    b.said_V = voltage_at(x, p, p.r0_ohm * b.block_A) + b.off_V
+    b.said_A = b.block_A
+    b.weight_V2 = as_shown(b.error_V2 * at_least(shared.above, shared.below), b.mismatch)
+    b.below = shared.below
+    b.share = 0.0
     if b.readings > 0.0 and shared.below > 0.0:
-        share = evidence_share(c.fades, c.stays, c.shared, since)
-    return Block(
-        voltage_at(x, p, p.r0_ohm * b.block_A) + b.off_V,
-        b.block_A,
-        error_V2,
-        as_shown(error_V2 * at_least(shared.above, shared.below), b.mismatch),
-        shared.below,
-        share,
-    )
+        b.share = evidence_share(c.fades, c.stays, c.shared, since)
+    b.lately = at_most(c.lately * b.steps, 1.0)
 
 
 @part
 @unrolled_by_option
-def use_block(
-    m: Model, x: State, block: Block, p: Point, slopes: Slopes, mismatch: float
-) -> Expected:
-    """The voltage of a block to a component: none is rejected, each moves by what the gate lets."""
+def carry_on(x: State, b: Bank, p: Point, slopes: Slopes) -> None:
+    """A state over a block, its SOC apart: what the estimate has done, by its own tables."""
+    relax(x, p, *(b.gain[i] for i in BRANCHES), *(b.current[i] for i in BRANCHES), b.square_A2)  # type: ignore[call-arg]
+    if HYSTERESIS:
+        x.h = clip((b.keep_h * x.h) + b.rise_h, -1.0, 1.0)
+        fade_hysteresis(x, b.keep_h)
+    if slopes.spread > 0.0:
+        tilt(x, slopes, *(b.gain[i] * b.current[i] for i in BRANCHES))
+    if positive_above(1.0, x.ss):
+        add_variance(x, b.grown)
+
+
+@part
+@unrolled_by_option
+def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
+    """The voltage of a block to a component: none is rejected, each moves by what the gate lets.
+
+    What all of them have expected is kept for the mixture.
+    """
     c = m.constant
     column = column_of(x, slopes.slope_V, p.m_V)
     explained_V2 = bent_variance(explained(column, slopes.slope_V, p.m_V), slopes.bend_V)
-    voltage_V = voltage_at(x, p, p.r0_ohm * block.current_A)
-    variance_V2 = explained_V2 + block.error_V2
-    if block.share > 0.0:
+    off_V = b.said_V - voltage_at(x, p, p.r0_ohm * b.said_A)
+    variance_V2 = explained_V2 + b.error_V2
+    b.sum_V = b.sum_V + (x.weight * off_V)
+    b.square_V2 = b.square_V2 + (x.weight * (off_V * off_V))
+    b.own_V2 = b.own_V2 + (x.weight * variance_V2)
+    if b.share > 0.0:
         used = component_update(
-            block.voltage_V - voltage_V,
-            variance_V2,
-            c.gate_square,
-            explained_V2,
-            block.weight_V2,
-            block.below,
-            block.share,
+            off_V, variance_V2, c.gate_square, explained_V2, b.weight_V2, b.below, b.share
         )
         gain = scaled(column, used.inverse)
         x.cost = x.cost + used.cost
         move(x, gain, used.off_V)
         narrow(x, gain, column)
-        error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, mismatch)
+        error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, b.mismatch)
         persistent = persistent_step(gain.s, slopes.slope_V, x.persistent, error_V)
         x.persistent = clip(persistent, -1.0, 1.0)
-    return Expected(voltage_V, variance_V2)
+    hold_within(x)
 
 
 @part
-@unrolled_by_option
-def step_component(
-    m: Model, x: State, place: Place, o: Movement, block: Block, begins: bool, mismatch: float
-) -> Expected:
+def step_component(m: Model, b: Bank, x: State, place: Place) -> None:
     """A component over a block: what the estimate has done, at its own SOC, then the voltage."""
-    x.soc, x.soc_carry = add(x.soc, x.soc_carry, o.soc)
-    p = look_up(m, place, x.soc, block.current_A)
-    if begins:
-        guess_branches(m.constant, x, p, block.current_A)
+    x.soc, x.soc_carry = add(x.soc, x.soc_carry, b.moved)
+    p = look_up(m, place, x.soc, b.said_A)
+    if b.looks == NEVER_LOOKED:
+        guess_branches(m.constant, x, p, b.said_A)
     slopes = no_slopes(p)
     if x.ss > WIDE_VARIANCE:
-        slopes = slopes_of(m, place, x.soc, root(x.ss), block.current_A, p)
-    relax(x, p, *(o.gain[i] for i in BRANCHES), *(o.current[i] for i in BRANCHES), o.square_A2)  # type: ignore[call-arg]
-    if HYSTERESIS:
-        x.h = clip((o.keep_h * x.h) + o.rise_h, -1.0, 1.0)
-        fade_hysteresis(x, o.keep_h)
-    if slopes.spread > 0.0:
-        tilt(x, slopes, *(o.gain[i] * o.current[i] for i in BRANCHES))
-    if positive_above(1.0, x.ss):
-        add_variance(x, o.variance)
-    said = use_block(m, x, block, p, slopes, mismatch)
-    hold_within(x)
-    return Expected(said.voltage_V, said.variance_V2)
-
-
-@part
-def step_components(
-    m: Model, b: Bank, of: States, count: int, begins: bool, alone: bool
-) -> None:
-    """Every component over the block that ends now, and what they have expected together."""
-    c = m.constant
-    place = place_now(m, of[0])
-    p = look_up(m, place, of[0].soc, b.block_A)
-    o = movement_of(m, b, of[0], p)
-    block = block_of(m, b, of[0], of[U(b.likeliest)].soc, place, p, alone)
-    mean_V = 0.0
-    square_V2 = 0.0
-    variance_V2 = 0.0
-    for k in range(count):
-        if of[k + 1].cost < GIVEN_UP:
-            expected = step_component(m, of[k + 1], place, o, block, begins, b.mismatch)
-            off_V = block.voltage_V - expected.voltage_V
-            mean_V = mean_V + (of[k + 1].weight * off_V)
-            square_V2 = square_V2 + (of[k + 1].weight * (off_V * off_V))
-            variance_V2 = variance_V2 + (of[k + 1].weight * expected.variance_V2)
-    of[0].error_V2 = mixture_variance(variance_V2, mean_V, square_V2)
-    if block.share > 0.0:
-        most = at_most((mean_V * mean_V) / of[0].error_V2, c.mismatch_cap)
-        b.mismatch = lately_shown(b.mismatch, most, at_most(c.lately * b.steps, 1.0))
+        slopes = slopes_of(m, place, x.soc, root(x.ss), b.said_A, p)
+    carry_on(x, b, p, slopes)
+    weigh_block(m, x, b, p, slopes)
+    if b.look != NO_LOOK:
+        look_back(m, b, place, x)
 
 
 @part
@@ -585,16 +518,83 @@ def likeliest_of(b: Bank, of: States, count: int) -> float:
 
 
 @part
-def close_block(
-    m: Model, b: Bank, of: States, count: int, begins: bool, alone: bool, lost: bool
-) -> None:
-    """The components over a block, what it says of the past, their weights and the estimate."""
-    step_components(m, b, of, count, begins, alone)
-    look_back(m, b, of, count, lost)
+def end_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
+    """What a block has been, for the components whose turns come; the next one begins."""
+    p = look_up(m, place, of[0].soc, b.block_A)
+    note_movement(m, b, of[0], p)
+    note_voltage(m, b, of[0], of[U(b.likeliest)].soc, place, p)
+    ask_for_look(m, b)
+    b.sum_V = 0.0
+    b.square_V2 = 0.0
+    b.own_V2 = 0.0
+    b.turn = next_turn(of, count, U(1))
+    begin_block(b, of[0])
+
+
+@part
+def carry_estimate(m: Model, b: Bank, x: State, place: Place, before_V: float) -> None:
+    """The estimate from where the last block ended to now; ``before_V`` is what it expected.
+
+    The mean of the innovations of the block that is open is taken beside the new one.
+    """
+    x.soc, x.soc_carry = add(x.soc, x.soc_carry, b.moved)
+    p = look_up(m, place, x.soc, b.block_A)
+    slopes = no_slopes(p)
+    carry_on(x, b, p, slopes)
+    hold_within(x)
+    b.off_V = b.off_V + (before_V - voltage_at(x, p, p.r0_ohm * b.block_A))
+
+
+@part
+def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
+    """Every component has had its turn: their weights, and the estimate as it is now."""
+    c = m.constant
+    of[0].error_V2 = mixture_variance(b.own_V2, b.sum_V, b.square_V2)
+    if b.share > 0.0:
+        most = at_most((b.sum_V * b.sum_V) / of[0].error_V2, c.mismatch_cap)
+        b.mismatch = lately_shown(b.mismatch, most, b.lately)
+    note_look(m, b)
+    b.turn = U(0)
     if has_voltage(of[0]):  # else it is as it was stated
+        p = look_up(m, place, of[0].soc, b.block_A)
+        before_V = voltage_at(of[0], p, p.r0_ohm * b.block_A)
+        note_movement(m, b, of[0], p)
         weigh_components(of, count, likeliest_of(b, of, count))
         gather(b, of, count)
-    begin_block(b, of[0])
+        note_estimate(b, of[0])
+        carry_estimate(m, b, of[0], place, before_V)
+
+
+@part
+def next_turn(of: States, count: int, first: int) -> int:
+    """The first component from ``first`` on that is not given up; behind the last one: none."""
+    due = first
+    while due <= count and of[due].cost >= GIVEN_UP:
+        due = U(due + 1)
+    return due
+
+
+@part
+def take_turns(m: Model, b: Bank, of: States, count: int) -> None:
+    """The components over the block that has ended: one with every sample, or all at once."""
+    place = place_now(m, of[0])
+    if AT_ONCE:
+        while b.turn <= count:
+            step_component(m, b, of[U(b.turn)], place)
+            b.turn = next_turn(of, count, U(b.turn + 1))
+        use_block(m, b, of, count, place)
+    elif b.turn <= count:
+        step_component(m, b, of[U(b.turn)], place)
+        b.turn = next_turn(of, count, U(b.turn + 1))
+    else:
+        use_block(m, b, of, count, place)
+
+
+@part
+def is_over(m: Model, b: Bank, x: State) -> bool:
+    """Whether a block is: at the first sample, the first voltage, a gap, or after its time."""
+    begins = b.looks == NEVER_LOOKED or (has_voltage(x) and b.known == U(0))
+    return begins or b.unknown_A2 > 0.0 or b.steps >= m.constant.block_steps
 
 
 @part
@@ -614,17 +614,18 @@ def step_spread(
     share one error of the model, and say together what each would.
     """
     begins = is_new(of[0])
-    knew = has_voltage(of[0])
     before_A = of[0].current_A
     status = coast(m, of[0], sample, out)
     if of[0].error_V2 > 0.0:
         out.innovation_variance_V2 = of[0].error_V2
     if begins or elapsed > 0.0:
-        first = has_voltage(of[0]) and not knew
         collect_sample(m, b, of[0], out.innovation_V, 0.0 if begins else elapsed, lost, before_A)
-        if begins or first or lost or b.steps >= m.constant.block_steps:
-            alone = first and size_below(of[0].current_A, m.constant.rest_A)
-            close_block(m, b, of, count, begins, alone, lost and not begins)
+        if b.turn > U(0):
+            take_turns(m, b, of, count)
+        elif is_over(m, b, of[0]):
+            end_block(m, b, of, count, place_now(m, of[0]))
+            if AT_ONCE:
+                take_turns(m, b, of, count)
         if uses_voltage(of[0]):
             square = out.innovation_V * out.innovation_V
             if square > m.constant.gate_square * out.innovation_variance_V2:

@@ -59,6 +59,7 @@ LOOK_S = 60.0  # of the load until it is looked at
 LOOK_FACTOR = 4.0  # and each time so much longer
 LOOKS = 3  # times
 NEVER_LOOKED = 0xFFFFFFFF  # before the first sample
+NO_LOOK, OPENED, FIRST_LOOK, NEXT_LOOK = 0, 1, 2, 3
 PAST_PART = 1.0 / 32.0  # of the SOC: the way of a load before the start goes in such parts
 PAST_SPREAD = 0.5  # of what a load has left before the start may be otherwise
 PAST_RATE = 0.05  # may have flowed before beside it

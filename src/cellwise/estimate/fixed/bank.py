@@ -5,7 +5,7 @@ The bank itself is :mod:`cellwise.estimate.equations.bank`, as in the filters of
 
 from __future__ import annotations
 
-from cellwise.cell.description import CELL
+from cellwise.cell.description import BRANCHES, CELL
 from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.bank import begin_bank, spread_again, step_spread
 from cellwise.estimate.fixed.arithmetic import *
@@ -27,9 +27,9 @@ def is_lost(x: State) -> bool:
 @unrolled_by_option
 def is_block_sound(b: Bank) -> bool:
     """The numbers of a block in their range."""
-    good = within(b.off_V, -LARGE, LARGE) and within(b.block_A, -LARGE, LARGE)
+    good = size_within(b.off_V, LARGE) and size_within(b.block_A, LARGE)
     for i in CELL:
-        if not within(b.state[i], -LARGE, LARGE):
+        if not size_within(b.state[i], LARGE):
             good = False
     if not not_negative(b.ss, LARGE) or not not_negative(b.unknown_A2, LARGE):
         good = False
@@ -40,10 +40,36 @@ def is_block_sound(b: Bank) -> bool:
     return good
 
 
+@unrolled_by_option
+def is_past_block_sound(b: Bank) -> bool:
+    """Those of the block that the components follow."""
+    good = size_within(b.moved, LARGE) and not_negative(b.grown, LARGE)
+    for i in BRANCHES:
+        if not not_negative(b.gain[i], 1.0) or not size_within(b.current[i], LARGE):
+            good = False
+    if not not_negative(b.square_A2, LARGE) or not not_negative(b.lately, 1.0):
+        good = False
+    if HYSTERESIS and not (not_negative(b.keep_h, 1.0) and size_within(b.rise_h, LARGE)):
+        good = False
+    if not size_within(b.said_V, LARGE) or not size_within(b.said_A, LARGE):
+        good = False
+    if not not_negative(b.error_V2, SINCE_MOST) or not not_negative(b.weight_V2, SINCE_MOST):
+        good = False
+    if not not_negative(b.below, SINCE_MOST) or not not_negative(b.share, 1.0):
+        good = False
+    if not size_within(b.sum_V, LARGE) or not not_negative(b.square_V2, LARGE):
+        good = False
+    if not not_negative(b.own_V2, LARGE):
+        good = False
+    return good
+
+
 def bank_is_sound(c: Constants, b: Bank, of: States, count: int) -> bool:
     """Every number of a bank in its range: memory that lost its content is noticed."""
     good = within(b.mean_A, -LARGE, LARGE) and within(b.looked_A, -LARGE, LARGE)
-    if not is_block_sound(b):
+    if not is_block_sound(b) or b.turn > count + U(1) or b.known > U(1) or b.look > NEXT_LOOK:
+        good = False
+    if b.turn > U(0) and not is_past_block_sound(b):
         good = False
     if not not_negative(b.mismatch, LARGE) or not not_negative(b.since, SINCE_MOST):
         good = False
@@ -56,7 +82,8 @@ def bank_is_sound(c: Constants, b: Bank, of: States, count: int) -> bool:
             good = False
         if of[k + 1].cost < GIVEN_UP and of[k + 1].in_bank != COMPONENT:
             good = False
-        if of[k + 1].cost < GIVEN_UP and not is_sound(c, of[k + 1]):
+        now = b.turn == U(k + 1) or b.turn > count or b.likeliest == U(k + 1)
+        if now and of[k + 1].cost < GIVEN_UP and not is_sound(c, of[k + 1]):
             good = False
     return good
 
@@ -96,8 +123,6 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
         status = step(m, of[0], sample, out)
     else:
         status = step_spread(m, b, of, count, sample, out, F(elapsed), elapsed > U(1))
-        if b.spread != U(0) and not bank_is_sound(m.constant, b, of, count):
-            damaged = know_nothing(m, b, of, count)
     if of[0].in_bank == CONTRADICTED or is_lost(of[0]):
         spread_again(b, of, count)
     status = U(status | damaged)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.description import BRANCHES, CARRIED, SOC, State, carry, entry, triangle
+from cellwise.cell.description import BRANCHES, CARRIED, SOC, V1, State, carry, entry, triangle
 from cellwise.cell.description import CELL as STATES
 from cellwise.cell.unrolled import CALLED
 from cellwise.estimate.fixed.options import Options, flags_of
@@ -234,6 +234,26 @@ RECORDS = {
         Field("off_V", "the mean of their innovations,"),
         Field("block_A", "of their current,"),
         Field("unknown_A2", "and of a current that nobody measured"),
+        Field("known", "1: a voltage has been used before it", "", "u4"),
+        Field("turn", "the component that follows the last block next; 0: none", "", "u4"),
+        Field("look", "at the past, that goes with it", "", "u4"),
+        Field("moved", "what it has done: to the SOC,"),
+        Field("grown", "to its variance,"),
+        *(Field(f"gain{s.letter}", "to the branches, each" if s is V1 else "") for s in BRANCHES),
+        *(Field(f"current{s.letter}", "by a current," if s is V1 else "") for s in BRANCHES),
+        Field("square_A2", "of which so much is not known,"),
+        Field("keep_h", "and to h"),
+        Field("rise_h"),
+        Field("said_V", "its voltage,"),
+        Field("said_A", "under this current,"),
+        Field("error_V2", "its variance,"),
+        Field("weight_V2", "and what it weighs with,"),
+        Field("below", "over this;"),
+        Field("share", "how much of it is new"),
+        Field("lately", "its weight in the running mismatch"),
+        Field("sum_V", "off what components have expected, their mean,"),
+        Field("square_V2", "mean square,"),
+        Field("own_V2", "and variance"),
         Field("sequence", "of the last sample", "", "u4"),
     ),
     "Sample": (

@@ -218,6 +218,7 @@ def flags_of(options: Options) -> dict[str, int]:
     del flags["POINTS"]
     return {
         **flags,
+        "AT_ONCE": 0,
         "TEMPERATURES": int(options.temperatures > 1),
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
