@@ -23,6 +23,7 @@
 #include "cellwise_components.h"
 #include "cellwise_past.h"
 #include "cellwise_block.h"
+#include "cellwise_spread.h"
 #include "cellwise_bank.h"
 #include "cellwise_power.h"
 #include "cellwise_remaining.h"

@@ -5,6 +5,7 @@
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
+#include "cellwise_bank_record.h"
 #include "cellwise_model.h"
 
 #ifdef __cplusplus
@@ -113,53 +114,6 @@ uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, fl
 uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample, cellwise_output *out);
 
 /* A start that is not known: an array of states, the estimate and its components behind it. */
-typedef struct {
-    float mean_A; /* of the load since a start under load, */
-    float looked_A; /* and what it was at the last look */
-    float mismatch; /* running mean of squared innovation over variance */
-    uint32_t spread; /* 1: the components are stepped, 0: the estimate alone */
-    uint32_t likeliest; /* which component, from 1 on */
-    float since; /* steps since the start */
-    uint32_t looks; /* how often the past has been looked at */
-    float next_look; /* when it is next */
-    float soc; /* of the estimate where a block began */
-    float v1_V;
-    float v2_V;
-    float v3_V;
-    float h;
-    float ss;
-    float steps; /* of the block, */
-    float samples; /* its samples, */
-    float readings; /* and those with a voltage; */
-    float off_V; /* the mean of their innovations, */
-    float block_A; /* of their current, */
-    float unknown_A2; /* and of a current that nobody measured */
-    uint32_t known; /* 1: a voltage has been used before it */
-    uint32_t turn; /* the component that follows the last block next; 0: none */
-    uint32_t look; /* at the past, that goes with it */
-    float moved; /* what it has done: to the SOC, */
-    float grown; /* to its variance, */
-    float gain1; /* to the branches, each */
-    float gain2;
-    float gain3;
-    float current1; /* by a current, */
-    float current2;
-    float current3;
-    float square_A2; /* of which so much is not known, */
-    float keep_h; /* and to h */
-    float rise_h;
-    float said_V; /* its voltage, */
-    float said_A; /* under this current, */
-    float error_V2; /* its variance, */
-    float weight_V2; /* and what it weighs with, */
-    float below; /* over this; */
-    float share; /* how much of it is new */
-    float lately; /* its weight in the running mismatch */
-    float sum_V; /* off what components have expected, their mean, */
-    float square_V2; /* mean square, */
-    float own_V2; /* and variance */
-    uint32_t sequence; /* of the last sample */
-} cellwise_bank;
 
 /* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that are no such numbers
  * give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */

@@ -97,7 +97,8 @@ PARTS = {
     "components": "A start that is not known: filters side by side, weighed, gathered.",
     "past": "What the branches of a component hold of the load before its start.",
     "block": "What a block of samples does to the estimate, and says to a component.",
-    "bank": "One step of all of them, until they agree.",
+    "spread": "One sample of all of them, until they agree.",
+    "bank": "A bank's memory, its start, its step.",
     "power": "State of power: what a constant current makes of the cell, and the largest one.",
     "remaining": "A load carried on: time and energy to its cutoff or to empty.",
     "plan": "A plan of loads, and where it ends.",
@@ -110,7 +111,7 @@ FIRST = {
     "components.py": "likelihood",
     "lookup.py": "place", "resistances_at": "lookup",
     "step.py": "correction", "begin_at": "step",
-    "bank.py": "components", "left_by_load": "past", "collect_sample": "block", "likeliest_of": "bank",
+    "bank.py": "components", "left_by_load": "past", "collect_sample": "block", "likeliest_of": "spread",
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "capacity",
@@ -118,6 +119,7 @@ FIRST = {
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
+    "cellwise_bank_record.h": "What is kept of a start that is not known, beside its states.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
     "cellwise_soh.h": "Capacity that is left, estimated between two rests far apart.",
 }

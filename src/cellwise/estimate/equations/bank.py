@@ -518,8 +518,18 @@ def likeliest_of(b: Bank, of: States, count: int) -> float:
 
 
 @part
-def end_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
+def next_turn(of: States, count: int, first: int) -> int:
+    """The first component from ``first`` on that is not given up; behind the last one: none."""
+    due = first
+    while due <= count and of[due].cost >= GIVEN_UP:
+        due = U(due + 1)
+    return due
+
+
+@part
+def end_block(m: Model, b: Bank, of: States, count: int) -> None:
     """What a block has been, for the components whose turns come; the next one begins."""
+    place = place_now(m, of[0])
     p = look_up(m, place, of[0].soc, b.block_A)
     note_movement(m, b, of[0], p)
     note_voltage(m, b, of[0], of[U(b.likeliest)].soc, place, p)
@@ -563,15 +573,6 @@ def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
         gather(b, of, count)
         note_estimate(b, of[0])
         carry_estimate(m, b, of[0], place, before_V)
-
-
-@part
-def next_turn(of: States, count: int, first: int) -> int:
-    """The first component from ``first`` on that is not given up; behind the last one: none."""
-    due = first
-    while due <= count and of[due].cost >= GIVEN_UP:
-        due = U(due + 1)
-    return due
 
 
 @part
@@ -623,7 +624,7 @@ def step_spread(
         if b.turn > U(0):
             take_turns(m, b, of, count)
         elif is_over(m, b, of[0]):
-            end_block(m, b, of, count, place_now(m, of[0]))
+            end_block(m, b, of, count)
             if AT_ONCE:
                 take_turns(m, b, of, count)
         if uses_voltage(of[0]):
