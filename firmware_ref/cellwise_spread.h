@@ -101,7 +101,8 @@ static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state
 static bool is_over(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x)
 {
     const bool begins = (b->looks == NEVER_LOOKED) || (has_voltage(x) && (b->known == 0u));
-    return begins || (b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps);
+    const bool over = begins || (b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps);
+    return over;
 }
 
 /* One time step of components that do not agree yet: the status. The estimate goes on by the current. The components

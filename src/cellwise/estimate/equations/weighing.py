@@ -17,7 +17,6 @@ from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.covariance import Column, Point
 from cellwise.estimate.equations.evidence import (
     Shared,
-    as_shown,
     contradicted_step,
     inverse_weight,
     lately_shown,

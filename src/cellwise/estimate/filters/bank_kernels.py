@@ -39,9 +39,11 @@ COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
 # record has the fields of the fixed step's, and behind them what a step has predicted.
 BANK_FIELDS = (
     *("spread", "likeliest", "mismatch", "since", "mean_A", "looked_A", "looks", "next_look"),
-    *(s.name for s in CELL), *("ss", "steps", "samples", "readings"),
+    *(s.name for s in CELL),
+    *("ss", "steps", "samples", "readings"),
     *("off_V", "block_A", "unknown_A2", "known", "turn", "look", "moved", "grown"),
-    *(f"gain{s.letter}" for s in BRANCHES), *(f"current{s.letter}" for s in BRANCHES),
+    *(f"gain{s.letter}" for s in BRANCHES),
+    *(f"current{s.letter}" for s in BRANCHES),
     *("square_A2", "keep_h", "rise_h", "said_V", "said_A", "error_V2", "weight_V2", "below"),
     *("share", "lately", "sum_V", "square_V2", "own_V2"),
     *("voltage_V", "innovation_V", "innovation_variance_V2"),

@@ -97,13 +97,11 @@ def slopes_of(
     m: BankModel, place: ComponentPlace, soc: float, spread: float, current_A: float, p: Point
 ) -> Slopes:
     """While SOC is badly known slopes are chords over one standard deviation to either side."""
+    here = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
     found = slopes_at(
-        m.tables, soc, spread * spread, loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A),
-        place.temperature_C, current_A, place.slow_A,
-    )  # fmt: skip
-    return Slopes(
-        found.slope_V, found.bend_V, found.spread, *(found.rise.row[i] for i in BRANCHES)
+        m.tables, soc, spread * spread, here, place.temperature_C, current_A, place.slow_A
     )
+    return Slopes(found.slope_V, found.bend_V, found.spread, *(found.rise.row[i] for i in BRANCHES))
 
 
 @part
@@ -197,7 +195,9 @@ def coast(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     )
     # fmt: on
     state, info = report(
-        innovation, gate_result, without_voltage(predicted),
+        innovation,
+        gate_result,
+        without_voltage(predicted),
         reading.status | predicted.status | status,
     )  # fmt: skip
     put_record(a, 0, 1, state, True)

@@ -151,9 +151,7 @@ class FilterpyFilter(FilterOfModel):
 
     def constants(self, dt_s: float) -> StepConstants:
         """Of a step of this length."""
-        return constants_of(
-            self.cell.charge_As, self.cell.hysteresis_rate, self._noise, dt_s, 1.0
-        )
+        return constants_of(self.cell.charge_As, self.cell.hysteresis_rate, self._noise, dt_s, 1.0)
 
     def point(self, soc: float, now: MatrixInterval) -> CellPoint:
         """The tables at one SOC, under load."""

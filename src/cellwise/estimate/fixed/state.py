@@ -272,9 +272,7 @@ def predict(
 ) -> None:
     """One interval of constant current."""
     square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2)
-    relax(
-        x, p, *(p.gain[i] for i in BRANCHES), *(counted_current_A for i in BRANCHES), square_A2
-    )  # type: ignore[call-arg]
+    relax(x, p, *(p.gain[i] for i in BRANCHES), *(counted_current_A for i in BRANCHES), square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(counted_current_A))
         keep = 1.0 - rise
