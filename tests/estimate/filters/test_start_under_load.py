@@ -46,6 +46,7 @@ from cellwise.logs.cell_log import CellLog
 R3_OHM, TAU3_S = 0.02, 300.0
 SLOW_V = 0.01
 FLAT = np.full(11, 1.0)
+PLACE = ComponentPlace(25.0, 0.0)
 
 
 def linear(r_slope: float = 0.0, tau3_s: float = TAU3_S) -> CellModel:
@@ -76,7 +77,7 @@ def bank_model(model: CellModel) -> BankModel:
     ekf, tables = Ekf(model), model.parameters()
     noise = ekf.noise.scalars(model)
     constant = step_constants(tables.cell, noise, 1.0)
-    return BankModel(constant, tables, noise, None, ekf.start(0.5))
+    return BankModel(constant, tables, noise, ekf.start(0.5))
 
 
 def in_memory(state: EkfState) -> np.ndarray:
@@ -99,7 +100,7 @@ def test_what_is_known_of_the_past_is_a_measurement_of_the_slow_branch():
         p = np.array([[0.01, -3e-4], [-3e-4, 4e-4]])
         state = component(soc, v3, (p[0, 0], p[1, 1], p[0, 1]))
         memory = in_memory(state)
-        know_past(bank_model(model), memory[0], since_s, mean_A)
+        know_past(bank_model(model), PLACE, memory[0], since_s, mean_A)
         after, cost = memory[0], float(memory["cost"][0])
         one = spread**2 + LEAST_PAST_V2
         gain = p[:, 1] / (p[1, 1] + one)
@@ -151,7 +152,7 @@ def test_what_flows_after_the_start_is_in_the_branch_whatever_was_before():
 @pytest.mark.parametrize(("mean_A", "soc"), [(2.0, 0.995), (-2.0, 0.005)])
 def test_near_the_end_that_a_load_comes_from_a_slow_branch_holds_nothing(mean_A, soc):
     """A charge from empty has just begun near empty: the OCV alone is the level there."""
-    left = left_by_load(bank_model(linear()), ComponentPlace(25.0, 0.0), mean_A, soc)
+    left = left_by_load(bank_model(linear()), PLACE, mean_A, soc)
     assert abs(left) < 0.2 * R3_OHM * 2.0
 
 
@@ -166,7 +167,7 @@ def left_after(mean_A: float, soc: float) -> float:
 @pytest.mark.parametrize("mean_A", [0.3, 1.5, 3.0])
 def test_a_past_of_constant_load_is_what_its_equation_says(mean_A):
     model = linear(tau3_s=HOURS_S)
-    left = left_by_load(bank_model(model), ComponentPlace(25.0, 0.0), mean_A, 0.4)
+    left = left_by_load(bank_model(model), PLACE, mean_A, 0.4)
     assert left == pytest.approx(left_after(mean_A, 0.4), rel=0.03)
 
 
@@ -175,7 +176,7 @@ def test_another_mean_load_is_another_past():
     since_s, looked_A, mean_A = 960.0, 0.3, 1.5
     state = component(0.4, 0.03, (0.01, 4e-4, 1e-3))
     memory = in_memory(state)
-    know_past_better(bank_model(model), memory[0], since_s, mean_A, looked_A)
+    know_past_better(bank_model(model), PLACE, memory[0], since_s, mean_A, looked_A)
     after = EkfState.of_row(memory.view(float)[: state.row().size])
     left = np.exp(-since_s / HOURS_S)
     more = left * (left_after(mean_A, 0.4) - left_after(looked_A, 0.4))
@@ -266,7 +267,7 @@ def test_a_gap_ends_the_looks():
 def test_a_persistent_error_is_evidence_once(share):
     """Over any time no more than one error over its share; all of it while little is persistent."""
     noise = replace(Noise.of_model(linear()), lasting_share=share, slow_s=300.0).scalars()
-    c = constants_of(3600.0, noise, 1.0, 1.0)
+    c = constants_of(3600.0, 0.0, noise, 1.0, 1.0)
     time_s, step_s = np.linspace(0.0, 400_000.0, 80_001, retstep=True)
     new = np.array([evidence_share(c.fades, c.stays, c.shared, t) for t in time_s])
     assert np.all(np.diff(new) <= 0.0)

@@ -13,6 +13,7 @@ from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
+from cellwise.estimate.fixed.lookup import Place
 from cellwise.estimate.fixed.stepper import compiled, numba_stepper, start_state
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog, resample
@@ -198,6 +199,7 @@ def test_what_the_past_says_drives_no_component_below_empty():
     stepper = numba_stepper(tables_of("slow"))
     state = start_state(stepper, 1e-4, 0.05)
     state["p33"], state["s3"] = 1e-4, -4e-4  # a slow branch that holds more means a lower SOC
-    stepper.call("know_past_better", state, 240.0, 2.0, 0.3)
+    place = Place(np.uint32(0), np.float32(0.0), np.float32(1.0), np.float32(0.0))
+    stepper.call("know_past_better", place, state, 240.0, 2.0, 0.3)
     assert state["v3_V"][0] > 0.0
     assert state["soc"][0] == 0.0

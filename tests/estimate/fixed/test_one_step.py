@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from benchmarks.example_cell import three_branches
 
+from cellwise.cell.effects import Hysteresis
 from cellwise.estimate.equations import constants
 from cellwise.estimate.evidence_kernels import constants_of
 from cellwise.estimate.fixed.stepper import FUNCTIONS, STEP_MODULES
@@ -24,6 +25,7 @@ OWN_WAY = CELL / "equations" / "double.py"
 FIXED = [
     *sorted((ESTIMATE / "fixed").glob("*.py")),
     *sorted((ESTIMATE / "power").glob("fixed_*.py")),
+    *sorted((ESTIMATE / "capacity").glob("fixed_*.py")),
 ]
 KERNELS = [p for p in sorted(ESTIMATE.rglob("*.py")) if p not in FIXED and p not in ONCE]
 # An expression of so many operations is an equation, and no longer a product here and a sum there.
@@ -105,10 +107,10 @@ def test_no_number_stands_in_both_rooms():
 
 # Numbers of an equation that a room reads as well: what marks a state, where chords begin, what a
 # lean step does without the equation, what a sound state holds.
-MARKS = {"FOUND_FROZEN", "WIDE_VARIANCE"}
+MARKS = {"FOUND_FROZEN", "WIDE_VARIANCE", "VARIANCE_FLOOR"}
 READ_IN_C = {
     *("GIVEN_UP", "SQUARE_MOST", "START_LOAD_SHARE", "SWINGS_MOST"),
-    *("INFORMATION_MOST", "REST_USED"),
+    *("INFORMATION_MOST", "REST_USED", "LARGE", "NEXT_LOOK"),
 }
 
 
@@ -190,7 +192,7 @@ def test_an_equation_under_other_names_is_found():
 # What a target holds in whole steps, in its own range, or for intervals longer than the memory.
 OF_A_TARGET = {
     *("recovery_after", "look_steps", "voltage_low_V", "voltage_high_V"),
-    *("shared_early", "shared_half"),
+    *("shared_early", "shared_half", "block_steps", "lately"),
 }
 
 
@@ -200,7 +202,9 @@ def test_what_a_step_of_a_period_reads_is_reckoned_once(dt_s):
     model = three_branches()
     tables = fixed_step_tables(model, dt_s)
     noise = Noise.of_model(model).scalars()
-    once = constants_of(3600.0 * model.capacity_Ah, noise, dt_s, dt_s)._asdict()
+    once = constants_of(
+        3600.0 * model.capacity_Ah, model.effect(Hysteresis).gamma, noise, dt_s, dt_s
+    )._asdict()
     held = tables.constants[0]
     there = once.keys() & set(held.dtype.names) - OF_A_TARGET
     assert len(there) > 10

@@ -176,6 +176,7 @@ def spread_out(b: Bank, of: States, count: int) -> None:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
     stand_alone(of[0])
+    of[0].error_V2 = 0.0
     begin_block(b, of[0])
     b.spread = U(1)
     b.turn = U(0)

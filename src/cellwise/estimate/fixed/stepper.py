@@ -219,6 +219,8 @@ def _handed(kind: str, value: Any) -> Any:
     """An argument as a function of the step takes it: a number, the one record of an array, all."""
     if isinstance(value, np.ndarray):
         return value if kind in ARRAYS else value[0]
+    if isinstance(value, tuple):
+        return value
     return value if kind == "bool" else (F if kind == "float" else U)(value)
 
 
