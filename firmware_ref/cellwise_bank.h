@@ -34,6 +34,9 @@ static bool is_block_sound(cellwise_bank *b)
     if (!SIZE_WITHIN(b->h, LARGE)) {
         good = false;
     }
+    if (!NOT_NEGATIVE(b->first_V2, SINCE_MOST)) {
+        good = false;
+    }
     if (!NOT_NEGATIVE(b->ss, LARGE) || !NOT_NEGATIVE(b->unknown_A2, LARGE)) {
         good = false;
     }

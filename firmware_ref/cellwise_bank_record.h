@@ -28,6 +28,7 @@ typedef struct {
     float off_V; /* the mean of their innovations, */
     float block_A; /* of their current, */
     float unknown_A2; /* and of a current that nobody measured */
+    float first_V2; /* its first innovation's variance */
     uint32_t known; /* 1: a voltage has been used before it */
     uint32_t turn; /* the component that follows the last block next; 0: none */
     uint32_t look; /* at the past, that goes with it */

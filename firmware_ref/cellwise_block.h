@@ -74,7 +74,8 @@ static void note_voltage(const cellwise_model *m, cellwise_bank *b, const cellwi
     shared_evidence(c, since, alone ? 1.0f : b->steps, alone, &shared);
     b->said_V = voltage_at(x, p, p->r0_ohm * b->block_A) + b->off_V;
     b->said_A = b->block_A;
-    b->weight_V2 = as_shown(b->error_V2 * at_least(shared.above, shared.below), b->mismatch);
+    const float least = shared.below / at_least(b->readings, 1.0f); /* a mean of readings that share nothing */
+    b->weight_V2 = as_shown(b->error_V2 * at_least(shared.above, least), b->mismatch);
     b->below = shared.below;
     b->share = 0.0f;
     if ((b->readings > 0.0f) && (shared.below > 0.0f)) {
@@ -98,7 +99,7 @@ static void carry_on(cellwise_state *x, cellwise_bank *b, const cellwise_point *
 }
 
 /* The voltage of a block to a component: none is rejected, each moves by what the gate lets. What all of them have
- * expected is kept for the mixture. */
+ * expected is kept for the mixture, and what of it is left for the next. */
 static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_bank *b, const cellwise_point *p,
                         const cellwise_slopes *slopes)
 {
@@ -111,6 +112,8 @@ static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_ban
     b->sum_V = b->sum_V + (x->weight * off_V);
     b->square_V2 = b->square_V2 + (x->weight * (off_V * off_V));
     b->own_V2 = b->own_V2 + (x->weight * variance_V2);
+    float left_V2 = explained_V2;
+    float left_V = off_V;
     if (b->share > 0.0f) {
         cellwise_componentupdate used;
         component_update(off_V, variance_V2, c->gate_square, explained_V2, b->weight_V2, b->below, b->share, &used);
@@ -122,7 +125,11 @@ static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_ban
         const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, b->mismatch);
         const float persistent = persistent_step(gain.s, slopes->slope_V, x->persistent, error_V);
         x->persistent = clip(persistent, -1.0f, 1.0f);
+        const float taken = explained_V2 * used.inverse;
+        left_V2 = explained_V2 - (taken * explained_V2);
+        left_V = off_V - (taken * used.off_V);
     }
+    x->error_V2 = (left_V * left_V) + (left_V2 + b->error_V2);
     hold_within(x);
 }
 

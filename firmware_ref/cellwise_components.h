@@ -56,6 +56,7 @@ static void begin_block(cellwise_bank *b, const cellwise_state *x)
     b->off_V = 0.0f;
     b->block_A = 0.0f;
     b->unknown_A2 = 0.0f;
+    b->first_V2 = 0.0f;
 }
 
 /* Components over all of the SOC, densely about the estimate. */
@@ -73,6 +74,7 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
         }
     }
     stand_alone(&of[0u]);
+    of[0u].error_V2 = 0.0f;
     begin_block(b, &of[0u]);
     b->spread = 1u;
     b->turn = 0u;

@@ -92,6 +92,12 @@ static void forget_correlations(cellwise_state *x)
     x->p3h = 0.0f;
 }
 
+/* What goes from where it is towards an end, by a gain. */
+static float followed(float now, float gain, float end)
+{
+    return now + (gain * (end - now));
+}
+
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
 static void add_variance(cellwise_state *x, float value)
 {
@@ -105,12 +111,12 @@ static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float
                   float current2, float current3, float square_A2)
 {
     const float a1 = 1.0f - gain1;
-    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * current1) - x->v1_V));
+    x->v1_V = followed(x->v1_V, gain1, p->r1_ohm * current1);
     x->s1 = x->s1 - (gain1 * x->s1);
     x->p1h = x->p1h - (gain1 * x->p1h);
     x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
     const float a2 = 1.0f - gain2;
-    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * current2) - x->v2_V));
+    x->v2_V = followed(x->v2_V, gain2, p->r2_ohm * current2);
     x->s2 = x->s2 - (gain2 * x->s2);
     x->p2h = x->p2h - (gain2 * x->p2h);
     x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));

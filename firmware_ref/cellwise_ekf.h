@@ -78,7 +78,7 @@ typedef struct {
     float rest_A; /* and at what */
     float cost; /* minus the logarithm of its likelihood, beside the likeliest */
     float weight; /* share of the bank */
-    float error_V2; /* variance of one voltage that all components share */
+    float error_V2; /* variance of the next innovation, while a bank is open */
     uint32_t in_bank; /* 0: alone, 1: a component, 2: contradicted, 3: not counted */
     float per_capacity; /* inverse of the share of the capacity that is left */
     float resistance_scale; /* of the resistances since */

@@ -100,9 +100,9 @@ static void count_offset(const cellwise_constants *c, cellwise_state *x, const c
     const float moved = counted * c->drift_soc;
     x->reach = at_most(x->reach + moved, REACH_MOST);
     add(&x->soc, &x->soc_carry, x->believed * moved);
-    x->d1_V = x->d1_V + (p->gain1 * ((p->r1_ohm * c->offset_A) - x->d1_V));
-    x->d2_V = x->d2_V + (p->gain2 * ((p->r2_ohm * c->offset_A) - x->d2_V));
-    x->d3_V = x->d3_V + (p->gain3 * ((p->r3_ohm * c->offset_A) - x->d3_V));
+    x->d1_V = followed(x->d1_V, p->gain1, p->r1_ohm * c->offset_A);
+    x->d2_V = followed(x->d2_V, p->gain2, p->r2_ohm * c->offset_A);
+    x->d3_V = followed(x->d3_V, p->gain3, p->r3_ohm * c->offset_A);
     cellwise_standstill now;
     rest_after(x->rest, x->rest_A, reading->current, counted, c->rate_A, c->rest_steps, &now);
     x->rest = now.lasts;

@@ -60,14 +60,25 @@ static void carry_estimate(const cellwise_model *m, cellwise_bank *b, cellwise_s
     b->off_V = b->off_V + (before_V - voltage_at(x, &p, p.r0_ohm * b->block_A));
 }
 
+/* Variance of the next innovation: of all of them by their weights, about what was measured. */
+static void expect_together(cellwise_state *of, uint32_t count)
+{
+    of[0u].error_V2 = 0.0f;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (of[k + 1u].cost < GIVEN_UP) {
+            of[0u].error_V2 = of[0u].error_V2 + (of[k + 1u].weight * of[k + 1u].error_V2);
+        }
+    }
+}
+
 /* Every component has had its turn: their weights, and the estimate as it is now. */
 static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                       const cellwise_place *place)
 {
     const cellwise_constants *const c = &m->constant;
-    of[0u].error_V2 = mixture_variance(b->own_V2, b->sum_V, b->square_V2);
     if (b->share > 0.0f) {
-        const float most = at_most((b->sum_V * b->sum_V) / of[0u].error_V2, c->mismatch_cap);
+        const float variance_V2 = mixture_variance(b->own_V2, b->sum_V, b->square_V2);
+        const float most = at_most((b->sum_V * b->sum_V) / variance_V2, c->mismatch_cap);
         b->mismatch = lately_shown(b->mismatch, most, b->lately);
     }
     note_look(m, b);
@@ -78,6 +89,7 @@ static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state 
         const float before_V = voltage_at(&of[0u], &p, p.r0_ohm * b->block_A);
         note_movement(m, b, &of[0u], &p);
         weigh_components(of, count, likeliest_of(b, of, count));
+        expect_together(of, count);
         gather(b, of, count);
         note_estimate(b, &of[0u]);
         carry_estimate(m, b, &of[0u], place, before_V);
@@ -113,8 +125,12 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
     const bool begins = is_new(&of[0u]);
     const float before_A = of[0u].current_A;
     uint32_t status = coast(m, &of[0u], sample, out);
-    if (of[0u].error_V2 > 0.0f) {
-        out->innovation_variance_V2 = of[0u].error_V2;
+    if (!(b->samples > 0.0f)) {
+        b->first_V2 = out->innovation_variance_V2;
+    }
+    if (of[0u].error_V2 > 0.0f) { /* that of the components, and by what it has grown since */
+        const float grown_V2 = at_least(out->innovation_variance_V2 - b->first_V2, 0.0f);
+        out->innovation_variance_V2 = of[0u].error_V2 + grown_V2;
     }
     if (begins || (elapsed > 0.0f)) {
         collect_sample(m, b, &of[0u], out->innovation_V, begins ? 0.0f : elapsed, lost, before_A);

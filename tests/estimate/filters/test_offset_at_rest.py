@@ -33,12 +33,9 @@ LOG = pulses()
 TRUE_A = np.asarray(LOG.current_A)
 
 
-BELOW_EMPTY = "7.2 %: in the last minutes, below empty, its components begin again three times"
 
 
-@pytest.mark.parametrize(
-    "kind", [Ekf, pytest.param(Ukf, marks=pytest.mark.xfail(strict=True, reason=BELOW_EMPTY))]
-)
+@pytest.mark.parametrize("kind", [Ekf, Ukf])
 def test_a_sensor_that_reads_zero_at_rest_is_right_whatever_the_voltages_say(kind):
     """A voltage that is 20 mV off reads as many points of SOC on a plateau."""
     off = replace(LOG, voltage_V=LOG.voltage_V + 0.02)

@@ -161,6 +161,7 @@ def begin_block(b: Bank, x: State) -> None:
     b.off_V = 0.0
     b.block_A = 0.0
     b.unknown_A2 = 0.0
+    b.first_V2 = 0.0
 
 
 @part
@@ -440,7 +441,8 @@ def note_voltage(m: Model, b: Bank, x: State, likeliest_soc: float, place: Place
     shared = shared_evidence(c, since, 1.0 if alone else b.steps, alone)
     b.said_V = voltage_at(x, p, p.r0_ohm * b.block_A) + b.off_V
     b.said_A = b.block_A
-    b.weight_V2 = as_shown(b.error_V2 * at_least(shared.above, shared.below), b.mismatch)
+    least = shared.below / at_least(b.readings, 1.0)  # a mean of readings that share nothing
+    b.weight_V2 = as_shown(b.error_V2 * at_least(shared.above, least), b.mismatch)
     b.below = shared.below
     b.share = 0.0
     if b.readings > 0.0 and shared.below > 0.0:
@@ -467,7 +469,7 @@ def carry_on(x: State, b: Bank, p: Point, slopes: Slopes) -> None:
 def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
     """The voltage of a block to a component: none is rejected, each moves by what the gate lets.
 
-    What all of them have expected is kept for the mixture.
+    What all of them have expected is kept for the mixture, and what of it is left for the next.
     """
     c = m.constant
     column = column_of(x, slopes.slope_V, p.m_V)
@@ -477,6 +479,8 @@ def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
     b.sum_V = b.sum_V + (x.weight * off_V)
     b.square_V2 = b.square_V2 + (x.weight * (off_V * off_V))
     b.own_V2 = b.own_V2 + (x.weight * variance_V2)
+    left_V2 = explained_V2
+    left_V = off_V
     if b.share > 0.0:
         used = component_update(
             off_V, variance_V2, c.gate_square, explained_V2, b.weight_V2, b.below, b.share
@@ -488,6 +492,10 @@ def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
         error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, b.mismatch)
         persistent = persistent_step(gain.s, slopes.slope_V, x.persistent, error_V)
         x.persistent = clip(persistent, -1.0, 1.0)
+        taken = explained_V2 * used.inverse
+        left_V2 = explained_V2 - (taken * explained_V2)
+        left_V = off_V - (taken * used.off_V)
+    x.error_V2 = (left_V * left_V) + (left_V2 + b.error_V2)
     hold_within(x)
 
 
@@ -557,12 +565,21 @@ def carry_estimate(m: Model, b: Bank, x: State, place: Place, before_V: float) -
 
 
 @part
+def expect_together(of: States, count: int) -> None:
+    """Variance of the next innovation: of all of them by their weights, about what was measured."""
+    of[0].error_V2 = 0.0
+    for k in range(count):
+        if of[k + 1].cost < GIVEN_UP:
+            of[0].error_V2 = of[0].error_V2 + (of[k + 1].weight * of[k + 1].error_V2)
+
+
+@part
 def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
     """Every component has had its turn: their weights, and the estimate as it is now."""
     c = m.constant
-    of[0].error_V2 = mixture_variance(b.own_V2, b.sum_V, b.square_V2)
     if b.share > 0.0:
-        most = at_most((b.sum_V * b.sum_V) / of[0].error_V2, c.mismatch_cap)
+        variance_V2 = mixture_variance(b.own_V2, b.sum_V, b.square_V2)
+        most = at_most((b.sum_V * b.sum_V) / variance_V2, c.mismatch_cap)
         b.mismatch = lately_shown(b.mismatch, most, b.lately)
     note_look(m, b)
     b.turn = U(0)
@@ -571,6 +588,7 @@ def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
         before_V = voltage_at(of[0], p, p.r0_ohm * b.block_A)
         note_movement(m, b, of[0], p)
         weigh_components(of, count, likeliest_of(b, of, count))
+        expect_together(of, count)
         gather(b, of, count)
         note_estimate(b, of[0])
         carry_estimate(m, b, of[0], place, before_V)
@@ -619,8 +637,11 @@ def step_spread(
     begins = is_new(of[0])
     before_A = of[0].current_A
     status = coast(m, of[0], sample, out)
-    if of[0].error_V2 > 0.0:
-        out.innovation_variance_V2 = of[0].error_V2
+    if not (b.samples > 0.0):
+        b.first_V2 = out.innovation_variance_V2
+    if of[0].error_V2 > 0.0:  # that of the components, and by what it has grown since
+        grown_V2 = at_least(out.innovation_variance_V2 - b.first_V2, 0.0)
+        out.innovation_variance_V2 = of[0].error_V2 + grown_V2
     if begins or elapsed > 0.0:
         collect_sample(m, b, of[0], out.innovation_V, 0.0 if begins else elapsed, lost, before_A)
         if b.turn > U(0):

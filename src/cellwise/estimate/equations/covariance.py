@@ -134,6 +134,12 @@ def forget_correlations(x: State) -> None:
 
 
 @inline
+def followed(now: float, gain: float, end: float) -> float:
+    """What goes from where it is towards an end, by a gain."""
+    return now + (gain * (end - now))
+
+
+@inline
 def add_variance(x: State, value: float) -> None:
     """A variance of SOC that is large changes by less than rounding keeps of it."""
     if WIDE:
@@ -171,7 +177,7 @@ def relax(
                 x.state[i], x.carry[i], gain[i] * ((p.r[i] * current[i]) - x.state[i])
             )
         else:
-            x.state[i] = x.state[i] + (gain[i] * ((p.r[i] * current[i]) - x.state[i]))
+            x.state[i] = followed(x.state[i], gain[i], p.r[i] * current[i])
         for j in (SOC, H):
             x.p[i, j] = x.p[i, j] - (gain[i] * x.p[i, j])
         x.p[i, i] = x.p[i, i] + (

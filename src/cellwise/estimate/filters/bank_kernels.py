@@ -41,7 +41,7 @@ BANK_FIELDS = (
     *("spread", "likeliest", "mismatch", "since", "mean_A", "looked_A", "looks", "next_look"),
     *(s.name for s in CELL),
     *("ss", "steps", "samples", "readings"),
-    *("off_V", "block_A", "unknown_A2", "known", "turn", "look", "moved", "grown"),
+    *("off_V", "block_A", "unknown_A2", "first_V2", "known", "turn", "look", "moved", "grown"),
     *(f"gain{s.letter}" for s in BRANCHES),
     *(f"current{s.letter}" for s in BRANCHES),
     *("square_A2", "keep_h", "rise_h", "said_V", "said_A", "error_V2", "weight_V2", "below"),

@@ -31,6 +31,8 @@ def is_block_sound(b: Bank) -> bool:
     for i in CELL:
         if not size_within(b.state[i], LARGE):
             good = False
+    if not not_negative(b.first_V2, SINCE_MOST):
+        good = False
     if not not_negative(b.ss, LARGE) or not not_negative(b.unknown_A2, LARGE):
         good = False
     if not not_negative(b.steps, SINCE_MOST) or not not_negative(b.samples, SINCE_MOST):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.equations.covariance import Point, Slopes, column_of, explained
+from cellwise.estimate.equations.covariance import Point, Slopes, column_of, explained, followed
 from cellwise.estimate.equations.evidence import (
     Shared,
     bent_variance,
@@ -122,7 +122,7 @@ def count_offset(c: Constants, x: State, p: Point, reading: Reading, missing: in
     x.reach = at_most(x.reach + moved, REACH_MOST)
     x.soc, x.soc_carry = add(x.soc, x.soc_carry, x.believed * moved)
     for i in BRANCHES:
-        x.d[i] = x.d[i] + (p.gain[i] * ((p.r[i] * c.offset_A) - x.d[i]))
+        x.d[i] = followed(x.d[i], p.gain[i], p.r[i] * c.offset_A)
     now = rest_after(x.rest, x.rest_A, reading.current, counted, c.rate_A, c.rest_steps)
     x.rest = now.lasts
     x.rest_A = now.current_A
