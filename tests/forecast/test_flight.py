@@ -175,7 +175,6 @@ def test_a_long_log_has_a_few_hundred_moments_and_its_last_row():
     assert flight.last.time_s == log.time_s[-1]
 
 
-@pytest.mark.xfail(strict=False, reason="0.501 of the time: at its bound")
 def test_through_a_filter_from_an_unknown_start():
     """The whole way: a flight that begins under load, no SOC given; the end lies in the band."""
     model = curved_cell()

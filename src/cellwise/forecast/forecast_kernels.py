@@ -171,7 +171,8 @@ def settled(
 
     What the model is off by outside its validity is in its present error already; what nobody has
     seen yet is its error further outside than the present one, and what it will be at another SOC:
-    two errors of one deviation sigma whose correlation is rho differ by sigma sqrt(2 (1 - rho)).
+    of an error of deviation sigma that is e here and correlated by rho with that over there,
+    (1 - rho) e is expected to go, and sigma sqrt(1 - rho^2) is new.
     """
     valid = uncertain.valid
     warmth, here_C, shift_V = now.warmth, now.here_C, 0.0
@@ -183,9 +184,11 @@ def settled(
     if away.voltage != 0.0:
         wrong_V = uncertain.share * now.held_V
         moved_soc = abs(begun_soc - now.cell.soc)
-        apart = 2.0 * (1.0 - math.exp(-moved_soc / uncertain.memory_soc))
+        kept = math.exp(-moved_soc / uncertain.memory_soc)
+        gone_V = (1.0 - kept) * (go.offset_V + go.of_polarisation * now.held_V)
         new_V = max(beyond_V - known_V, 0.0)
-        square = (now.error_V * now.error_V + wrong_V * wrong_V) * apart
+        square = (now.error_V * now.error_V + wrong_V * wrong_V) * (1.0 - kept * kept)
+        square += gone_V * gone_V
         off_V = math.sqrt(square + new_V * new_V)
         if now.cell.soc < valid.soc_low:
             known_soc_V = soc_extrapolation_V(valid, begun_soc)
@@ -206,6 +209,28 @@ def begun(
     warmth = Warmth(go.temperature_C - go.lump.origin_C, 0.0, 0.0, 0.0)
     here = ForecastState(at, go.load_A, 0.0, 0.0, 0.0, 0.0, warmth, go.temperature_C, math.nan, 0.0)
     return gone(tables, here, go.load_A, 0.0, go)
+
+
+@part
+def as_seen(
+    tables: CellTables,
+    state: CellState,
+    soc_std: float,
+    go: LoadScenario,
+    uncertain: Uncertain,
+    away: SigmaOffset,
+) -> LoadScenario:
+    """The same from another SOC: what the voltage was, it was; the model is off by something else.
+
+    By at most two deviations of its error: what a filter has not made of a voltage yet, no error
+    of the model explains.
+    """
+    if away.soc == 0.0:
+        return go
+    usual = begun(tables, state, soc_std, go, USUAL)
+    off_V = usual.voltage_V - begun(tables, state, soc_std, go, away).voltage_V
+    most_V = 2.0 * math.hypot(usual.error_V, uncertain.share * usual.held_V)
+    return changed(go, "offset_V", go.offset_V + min(max(off_V, -most_V), most_V))
 
 
 @part
@@ -322,7 +347,8 @@ def remaining_at(
     away: SigmaOffset,
 ) -> Remaining:
     """A forecast from deviations beside the state."""
-    return until_end(tables, begun(tables, state, soc_std, go, away), go, uncertain, away)
+    seen = as_seen(tables, state, soc_std, go, uncertain, away)
+    return until_end(tables, begun(tables, state, soc_std, seen, away), seen, uncertain, away)
 
 
 @rows
@@ -375,7 +401,7 @@ def through(
     state: CellState,
     soc_std: float,
     plan: tuple[FloatArray, FloatArray],
-    go: LoadScenario,
+    planned: LoadScenario,
     uncertain: Uncertain,
     away: SigmaOffset,
 ) -> PlanResult:
@@ -385,11 +411,12 @@ def through(
 
     Parameters
     ----------
-    plan : (n,), (n,)     length of each step [s], its power [W], or its current [A] where ``go``
-                          holds no power; positive on discharge
-    go : LoadScenario     with no load yet
+    plan : (n,), (n,)     length of each step [s], its power [W], or its current [A] where
+                          ``planned`` holds no power; positive on discharge
+    planned : LoadScenario    with no load yet
     """
     dt_s, load = plan
+    go = as_seen(tables, state, soc_std, planned, uncertain, away)
     now = begun(tables, state, soc_std, go, away)
     begun_soc, least_V, energy_J = now.cell.soc, now.voltage_V, 0.0
     for k in range(dt_s.size):

@@ -33,7 +33,6 @@ class _CapacityTestLimits(NamedTuple):
     at_limit_V: float = 0.01  # so near to a voltage limit is at it, ...
     at_limit: float = 0.01  # ... or as near as this share of the log's voltage range
     little: float = 0.02  # of the current: less is none; the CC part ends where it fell by it
-    held: float = 0.002  # of the charge: a limit that was held for so much was one
     # Below these a discharge is a drive or an HPPC test, not a capacity test.
     steady: float = 0.95  # of the charge, at one current
     idle_s: float = 120.0
@@ -207,11 +206,8 @@ def _measure(
     short = []
     if lowest > window.low_V + _tolerance_V(trace) + slack:
         short.append(f"stops at {lowest:.3f} V, the lower limit is {window.low_V:.3f} V")
-    else:
-        held = charge[end] - charge[limit - 1] > LIMITS.held * (charge[end] - charge[begin])
-        if not (window.shared or held or _looks_like_end(trace, first, limit)):
-            said = "without the look of an end: give the lower limit"
-            short.append(f"ends at {lowest:.3f} V {said}")
+    elif not (window.shared or _looks_like_end(trace, first, limit)):
+        short.append(f"ends at {lowest:.3f} V without the look of an end: give the lower limit")
     short += _not_full(trace, halves, k, window)
     notices = [Notice(Code.CAPACITY_TEST_INCOMPLETE, text) for text in short]
     complete = not notices
