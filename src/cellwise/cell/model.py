@@ -236,10 +236,16 @@ class CellModel(Plottable, Summarised, Tabular):
         if self.temperature_C.size > 1:
             grid += f" x {self.temperature_C.size} temperatures"
         extra = ", ".join(e.name for e in self.effects)
+        # Where the tables lie: a headline at another temperature would rest on the activation.
+        of_tables = self.effect(TemperatureDependence)
+        at_C = self.usual_temperature_C if self.temperature_C.size > 1 else of_tables.reference_C
+        known = self.temperature_C.size > 1 or of_tables in self.effects
+        where = f" at {at_C:.0f} degC" if known else ""
+        r0_ohm = self.at_temperature(at_C).r0_ohm
         return (
             f"CellModel({self.name or 'unnamed'}: {self.capacity_Ah:.4g} Ah, {grid}, "
             f"OCV {self.ocv_V.min():.3f} to {self.ocv_V.max():.3f} V, "
-            f"R0 {1e3 * np.median(self.r0_ohm):.3g} mohm{', ' + extra if extra else ''})"
+            f"R0 {1e3 * np.median(r0_ohm):.3g} mohm{where}{', ' + extra if extra else ''})"
         )
 
     @property
@@ -368,6 +374,11 @@ class CellModel(Plottable, Summarised, Tabular):
             effects=tuple(self._effect_at(e, temperature_C) for e in self.effects),
             temperature_C=np.array([float(temperature_C)]),
         )
+
+    @property
+    def is_stock(self) -> bool:
+        """Whether it is a stock model, scaled or not: of a cell of the kind, not of this one."""
+        return "stock" in self.provenance
 
     @property
     def usual_temperature_C(self) -> float:

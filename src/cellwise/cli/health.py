@@ -130,10 +130,20 @@ def data_of_life(found: AgeingHistory) -> dict[str, Any]:
 def said_of_change(found: AgeingHistory) -> str:
     """Whether the logs show that the capacity changed."""
     change = found.change
+    if len(found.logs) < 2:
+        return "one log shows no change: it takes a second one"
     size = f"{100.0 * change.share:+.1f} +- {200.0 * change.std:.1f} % of the new cell's capacity"
     if change.shown:
         return f"changed since the first log: {size}"
     return f"no change of the capacity shown ({size}): what to use is of all logs together"
+
+
+def said_of_logs(found: AgeingHistory) -> str:
+    """How many they are, and over what."""
+    if len(found.logs) < 2:
+        return "one log"
+    unit = "days" if found.over == "days" else "Ah moved"
+    return f"{len(found.logs)} logs over {found.way[-1]:.0f} {unit}"
 
 
 def print_life(found: AgeingHistory) -> None:
@@ -141,7 +151,7 @@ def print_life(found: AgeingHistory) -> None:
     data = found.to_dict()
     printing.say_notices(found.mismatches)
     printing.record_table(
-        f"{len(found.logs)} logs over {found.way[-1]:.0f} {found.over}",
+        said_of_logs(found),
         log_rows(found),
         *LOG_COLUMNS,
     )

@@ -260,7 +260,8 @@ class PlainComparison(NamedTuple):
             return None
         text = (
             f"{self.reason}: the plain one is handed out (low-rate curve, R0, two branches, no "
-            "effects, a wide posterior). A fault of the fit or of the logs: please report it"
+            "effects, a wide posterior). A fault of the logs, of a chemistry or prior that was "
+            "stated, or of the fit: please report that"
         )
         return Notice(Code.PLAIN_MODEL, text)
 

@@ -40,6 +40,8 @@ from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.writing import write_columns
 from cellwise.notices import Notice, texts
 from cellwise.typing import FloatArray
+from cellwise.wording import Option
+from cellwise.workflows.nearest_stock import StockDistance, nearest_stock
 from cellwise.workflows.served import Served, each_that_serves
 from cellwise.workflows.starts import start_of
 
@@ -120,14 +122,16 @@ class ForecastRequest:
 class ReplayAndForecast:
     """A replay, when it was to converge, and what remains by it.
 
-    ``began`` is the start that the whole log shows, as every other function finds it; ``far`` why
-    nothing is foreseen, None where it is.
+    ``far`` is why nothing is foreseen, None where it is; ``began`` the start that the whole log
+    shows, as every other function finds it; ``nearest`` the stock model that is nearer than the
+    one that the log is far off.
     """
 
     replay: Replay
-    expected_s: float | None
-    began: InitialSoc | None
     far: Notice | None
+    expected_s: float | None = None
+    began: InitialSoc | None = None
+    nearest: StockDistance | None = None
     flight: ForecastTrace | None = None
     at_load: Forecast | None = None
     charge: ForecastTrace | None = None
@@ -142,7 +146,18 @@ class ReplayAndForecast:
         of_flight = () if self.flight is None else self.flight.notices
         if self.far is None:
             return (*of_flight, *self.replay.notices)
-        return tuple(withheld(n) if n == self.far else n for n in self.replay.notices)
+        far = self._withheld(self.far)
+        return tuple(far if n == self.far else n for n in self.replay.notices)
+
+    def _withheld(self, far: Notice) -> Notice:
+        """What is far off, what is not said, and which stock model is nearer."""
+        said = withheld(far)
+        if self.nearest is None:
+            return said
+        text = f". Of the stock models {self.nearest.name} is the nearest, scaled with "
+        off = f": typically {1e3 * self.nearest.typical_V:.0f} mV off"
+        capacity = Option("capacity_Ah", float(f"{self.nearest.capacity_Ah:.3g}"))
+        return said.followed_by(text, capacity, off)
 
     @property
     def critical(self) -> tuple[Notice, ...]:
@@ -256,15 +271,16 @@ def replay_and_forecast(
     model, noise = seen_by(model, asked.sensor)
     begun = found.start.how in ("given", "stated")
     far = None if ahead.anyway else ends_forecasts(found.model_mismatch, found.log)
-    run = ReplayAndForecast(
-        found,
-        expected_convergence_s(model, found, make_estimator(asked.estimator, model, noise)),
-        None if begun else initial_soc(model, found.log, whole_log=True),
-        far,
-        hold=ahead.hold,
-        cutoff_V=cutoff_of(model, ahead.cutoff_V),
-    )
-    run = run if far is not None else _with_forecasts(run, model, ahead)
+    run = ReplayAndForecast(found, far, hold=ahead.hold, cutoff_V=cutoff_of(model, ahead.cutoff_V))
+    if far is None:
+        filter_ = make_estimator(asked.estimator, model, noise)
+        run = replace(
+            _with_forecasts(run, model, ahead),
+            expected_s=expected_convergence_s(model, found, filter_),
+            began=None if begun else initial_soc(model, found.log, whole_log=True),
+        )
+    elif far is found.model_mismatch:
+        run = replace(run, nearest=nearest_stock(model, found.log))
     how = ahead.shown(model)
     if how is None:
         return run

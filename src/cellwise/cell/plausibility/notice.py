@@ -77,7 +77,7 @@ MOST_REJECTED = 0.1  # share of a filter's voltages
 OTHER: tuple[Piece, ...] = (
     "a log of another cell, number of cells in series (",
     Option("series", letter="N"),
-    "), temperature or age",
+    "), capacity, temperature or age",
 )
 WITHHELD = "emaining time and health would be made of it: withheld ("
 
@@ -109,8 +109,17 @@ def find_mismatch(
     if model is None:
         return None
     times, typical_V = times_stated(model, log, error_V, soc)
-    found = _said("", times, typical_V)
+    found = _said("", times, typical_V, _causes(model, log))
     return None if found is None else replace(found, log=_name(log))
+
+
+def _causes(model: CellModel, log: CellLog) -> tuple[Piece, ...]:
+    """Why a log may be far off: of a stock model that nobody scaled first its capacity."""
+    if not model.is_stock or "scaled_from_Ah" in model.provenance:
+        return OTHER
+    held, moved = f"{model.capacity_Ah:.3g} Ah", float(np.ptp(log.counted_charge_Ah()))
+    text = f"a cell of another capacity than this stock model's {held}, of which the log moves "
+    return f"{text}{moved:.3g} (", Option("capacity_Ah", letter="X"), " scales it), ", *OTHER
 
 
 def _said(
@@ -324,6 +333,22 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     text = f" runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC ("
     said = (text, Option("soc0", letter="X"), " states it) and the capacity")
     return [Notice(Code.SOC_OUTSIDE, said, log=name, size_V=RANGE_V * outside)]
+
+
+def reference_notices(log: CellLog, reference: FloatArray | None) -> list[Notice]:
+    """That a reference leaves 0..1 by more than capacities of one cell differ: it is no SOC."""
+    if reference is None:
+        return []
+    low, high = float(np.nanmin(reference)), float(np.nanmax(reference))
+    if max(-low, high - 1.0) <= MOST_CHARGE - 1.0:
+        return []
+    text = (
+        f": the reference runs from SOC {low:.2f} to {high:.2f}, where no cell is: every error of "
+        "the SOC is its own. Check "
+    )
+    said = (text, Option("reference_capacity_Ah", letter="X"), " and ",
+            Option("reference_soc0", letter="X"))  # fmt: skip
+    return [Notice(Code.SOC_OUTSIDE, said, log=_name(log), size_V=FIRST_V)]
 
 
 def error_notices(

@@ -197,7 +197,7 @@ def soc_at_start(replay: Replay) -> str:
 
 
 def _soc(soc: float, std: float) -> str:
-    return f"{points(soc)} ± {percent(2.0 * std, 1)}"
+    return f"{points(soc)} ± {percent(min(2.0 * std, 1.0), 1)}"
 
 
 EXPLAINED = (
