@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Entropy, TemperatureDependence
-from cellwise.cell.metrics import band_metrics, error_metrics
+from cellwise.cell.metrics import NEAR_EMPTY, band_metrics, error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
@@ -68,7 +68,6 @@ LEAST_SHARE = 1e-3  # of all rows: fewer are spikes, too
 # Times the model's capacity: no cell holds so much more than another of its kind.
 MOST_CHARGE = 1.15
 LEAST_SOC = 5e-4  # beyond 0 to 1: it shows in three digits
-NEAR_EMPTY = 0.1  # SOC below which the OCV is steep
 LEAST_V = 1e-4  # no voltage is known better
 NO_MODEL_V = 0.2  # off by so much it says no SOC: a cell's goes over 0.5 to 1.5 V
 MOST_REJECTED = 0.1  # share of a filter's voltages
