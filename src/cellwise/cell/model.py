@@ -494,9 +494,9 @@ def check_model(model: CellModel) -> None:
 
 def _faults(model: CellModel) -> Iterator[tuple[str, str, str]]:
     """What is wrong with a model: found, expected, what to do."""
-    shape, warm = model.ocv_V.shape, model.temperature_C
-    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != warm.shape:
-        found = f"OCV table of shape {shape} with {warm.size} temperature(s)"
+    shape, temperature_C = model.ocv_V.shape, model.temperature_C
+    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != temperature_C.shape:
+        found = f"OCV table of shape {shape} with {temperature_C.size} temperature(s)"
         expected = "one row per temperature and at least two SOC points"
         yield found, expected, "Give every table the shape (temperatures, soc points)."
     capacity, efficiency = model.capacity_Ah, model.charge_efficiency
@@ -506,8 +506,8 @@ def _faults(model: CellModel) -> Iterator[tuple[str, str, str]]:
         expected = "a share between 0.5 and 1.05"
         found = f"charge_efficiency = {efficiency}"
         yield found, expected, "Give it as a fraction, not in per cent."
-    if not np.all(np.isfinite(warm)) or np.any(np.diff(warm) <= 0):
-        found = f"temperatures {warm.tolist()}"
+    if not np.all(np.isfinite(temperature_C)) or np.any(np.diff(temperature_C) <= 0):
+        found = f"temperatures {temperature_C.tolist()}"
         yield found, "finite temperatures that rise", "Sort the tables by temperature."
     limits = (model.voltage_min_V, model.voltage_max_V)
     known = [limit for limit in limits if limit is not None]

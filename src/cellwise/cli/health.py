@@ -40,7 +40,7 @@ from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
 from cellwise.report.history_page import LOG_COLUMNS, history_page, log_rows
-from cellwise.report.pack_page import CELL_COLUMNS, pack_page
+from cellwise.report.pack_page import CELL_COLUMNS, pack_facts, pack_page
 from cellwise.report.page.markup import MOST
 
 
@@ -69,26 +69,14 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
-    percent, amount, data = printing.percent, printing.amount, found.to_dict()
-    soc, weakest = data["soc"], data["weakest"]
+    data = found.to_dict()
     first = found.notices[:1] if found.model_mismatch else ()
     printing.say_notices(first)
     printing.table(
         f"{data['cells']} cells, {len(found.days)} log(s)",
         ("what", "found"),
-        [
-            ("SOC, lowest / mean / highest",
-             " / ".join(f"{percent(soc[k], 1)} %" for k in ("min", "mean", "max"))),
-            ("usable as the cells are",
-             f"{amount(data['usable_Ah'], 'Ah')} ({amount(data['usable_Wh'], 'Wh', 0)})"),
-            ("left until the first cell is empty", amount(data["left_Ah"], "Ah")),
-            ("balancing would bring", amount(data["balancing_gain_Ah"], "Ah")),
-            ("least SOC", weakest["by_soc"]),
-            ("least capacity", weakest["by_capacity"]),
-            ("most resistance", weakest["by_resistance"]),
-            ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
-        ],
-    )  # fmt: skip
+        pack_facts(found),
+    )
     # What is not known comes last.
     rows = sorted(
         data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])

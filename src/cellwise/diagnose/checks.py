@@ -203,16 +203,16 @@ def claim_checks(
         known = np.isfinite(error)
         if not known.any():
             continue
-        warm = float(np.median(rows.temperature_C))
-        drop = polarisation_of(model, soc, np.full(soc.size, warm), run.before.voltage_V)
+        temperature_C = float(np.median(rows.temperature_C))
+        drop = polarisation_of(model, soc, np.full(soc.size, temperature_C), run.before.voltage_V)
         share = share_claimed(model.error, drop, charged_for_minutes(run.log))
-        slope = np.gradient(model.ocv_at(warm), model.soc)
+        slope = np.gradient(model.ocv_at(temperature_C), model.soc)
         start = rows.start.std * np.interp(soc, model.soc, slope)
         steps = np.abs(np.diff(error))
         steps = steps[np.isfinite(steps)]
         noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0
         white = max(model.error.white_V, min(noise, OTHER_SENSOR_V))
-        claim2 = np.asarray(model.slow_error_V(soc, warm)) ** 2
+        claim2 = np.asarray(model.slow_error_V(soc, temperature_C)) ** 2
         claim2 = claim2 + (share * drop) ** 2 + white**2 + start**2
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))

@@ -16,9 +16,11 @@ from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.stock import named_model, stock_model
 from cellwise.cli import main
 from cellwise.cli.common.parser import AT_HAND, MODEL
+from cellwise.logs.writing import write_columns
 from cellwise.notices import Code
 from cellwise.workflows.nearest_stock import nearest_stock
 from cellwise.workflows.replaying import replay_and_forecast
+from emulated_packs import emulated_pack
 from example_cells import curved_cell
 
 
@@ -137,3 +139,16 @@ def test_a_nominal_capacity_in_milliampere_hours_is_asked_about(tmp_path, capsys
     out = ("-o", str(tmp_path / "m.json"))
     refused = said(capsys, "identify", "--hppc", "nmc_hppc", "--nominal-ah", "5000", *out, code=2)
     assert "5000 Ah (mAh for Ah?)" in refused
+
+
+def test_the_charge_of_a_pack_is_said_with_its_band(tmp_path, run_json, capsys):
+    """A stock model's capacity, which a few miles do not show, stood there to the hundredth."""
+    _, pack = emulated_pack(4, hours=0.5, soc0=0.6)
+    place = str(tmp_path / "pack.csv")
+    write_columns(pack.columns(), tmp_path / "pack.csv")
+    given = ("pack", "--model", "nca-18650", place)
+    std = max(cell["capacity_std_Ah"] for cell in run_json(*given)["per_cell"])
+    line = next(one for one in said(capsys, *given).splitlines() if "usable as" in one)
+    (band,) = re.findall(r"± ([0-9.]+)", line)
+    assert float(band) == pytest.approx(2.0 * std, rel=0.1)
+    assert "Wh" in line
