@@ -1,7 +1,7 @@
 """The virtual tester: a log of a cell that a model describes, under any current.
 
 Every made log whose truth is a model is run by it; a cell that no model of the package describes,
-and whose equations are summed apart from its kernels, is in `synthetic` and `loads/rich_cell`.
+and whose equations are summed apart from its kernels, is in `synthetic` and `rich_cell`.
 """
 
 from __future__ import annotations
