@@ -108,6 +108,15 @@ def test_one_log_shows_no_change(capsys):
     assert "throughput_Ah" not in shown
 
 
+def test_a_history_says_that_its_currents_are_no_such_cells(run_json):
+    """Days of a car's cell of 30 Ah by a model of 2.8: "use now: 2.8 +- 1.1 Ah", and no word."""
+    drive = ("nmc_drive_b", "--anyway")
+    of_size = run_json("history", "--model", "nmc-18650", "--capacity-ah", "5", *drive)
+    small = run_json("history", "--model", "nmc-18650", "--capacity-ah", "2.2", *drive)
+    assert not any("model's data covered" in text for text in of_size["notices"])
+    assert any("where its data end, to 14.5" in text for text in small["notices"])
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_start_takes_no_part_of_a_discharge_for_the_capacity(tmp_path, run_json, whole):
     log = cw.load_dataset("nmc_hppc")
