@@ -13,7 +13,7 @@ import numpy as np
 from cellwise.arguments import check_kind
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import ends_forecasts, withheld
+from cellwise.cell.plausibility.notice import FAR_DEVIATIONS, ends_forecasts, withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import make_estimator
@@ -38,7 +38,7 @@ from cellwise.logs.files.source import ReadOptions, open_source
 from cellwise.logs.formats.ros_bag import start_of as start_of_bag
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.writing import write_columns
-from cellwise.notices import Notice, texts
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
 from cellwise.wording import Option
 from cellwise.workflows.nearest_stock import StockDistance, nearest_stock
@@ -124,7 +124,7 @@ class ReplayAndForecast:
 
     ``far`` is why nothing is foreseen, None where it is; ``began`` the start that the whole log
     shows, as every other function finds it; ``nearest`` the stock model that is nearer than the
-    one that the log is far off.
+    one that the log is far off; ``wrong_start`` that the first voltages contradict a stated start.
     """
 
     replay: Replay
@@ -132,6 +132,7 @@ class ReplayAndForecast:
     expected_s: float | None = None
     began: InitialSoc | None = None
     nearest: StockDistance | None = None
+    wrong_start: Notice | None = None
     flight: ForecastTrace | None = None
     at_load: Forecast | None = None
     charge: ForecastTrace | None = None
@@ -143,11 +144,12 @@ class ReplayAndForecast:
     @property
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, of the forecast first."""
+        of_start = () if self.wrong_start is None else (self.wrong_start,)
         of_flight = () if self.flight is None else self.flight.notices
         if self.far is None:
-            return (*of_flight, *self.replay.notices)
+            return (*of_start, *of_flight, *self.replay.notices)
         far = self._withheld(self.far)
-        return tuple(far if n == self.far else n for n in self.replay.notices)
+        return (*of_start, *(far if n == self.far else n for n in self.replay.notices))
 
     def _withheld(self, far: Notice) -> Notice:
         """What is far off, what is not said, and which stock model is nearer."""
@@ -164,7 +166,8 @@ class ReplayAndForecast:
         """Those up to the one for which nothing is foreseen; none where something is."""
         if self.far is None:
             return ()
-        return self.notices[: self.replay.notices.index(self.far) + 1]
+        behind = len(self.notices) - len(self.replay.notices) + 1
+        return self.notices[: self.replay.notices.index(self.far) + behind]
 
     @property
     def cells(self) -> int:
@@ -281,10 +284,25 @@ def replay_and_forecast(
         )
     elif far is found.model_mismatch:
         run = replace(run, nearest=nearest_stock(model, found.log))
+    if begun and far in (None, found.model_mismatch):
+        run = replace(run, wrong_start=_contradicted(model, found))
     how = ahead.shown(model)
     if how is None:
         return run
     return replace(run, displayed_percent=display_along(how, found, run.flight, run.charge))
+
+
+def _contradicted(model: CellModel, found: Replay) -> Notice | None:
+    """That a stated start is many deviations from the one that the first voltages show."""
+    stated, seen = found.start, initial_soc(model, replace(found.log, soc0=None))
+    if abs(seen.soc - stated.soc) <= FAR_DEVIATIONS * math.hypot(seen.std, stated.std):
+        return None
+    text = (
+        f" begins at SOC {seen.soc:.2f} +- {2.0 * seen.std:.2f} by its voltages ({seen.how}), and "
+        f"not at {stated.soc:.2f} as {stated.how}: "
+    )
+    said = (text, Option("soc0", letter="auto"), " takes what they show")
+    return Notice(Code.START_CONTRADICTED, said, log=found.log.name)
 
 
 def _with_forecasts(

@@ -87,6 +87,17 @@ def test_nothing_is_said_of_the_start_by_a_model_that_the_log_is_far_off(capsys)
     assert "by model and current" not in shown
 
 
+@pytest.mark.parametrize(("soc0", "wrong"), [(1.0, False), (0.97, False), (0.2, True)])
+def test_a_stated_start_that_the_first_voltages_contradict_is_said_first(soc0, wrong):
+    log = replace(cw.load_dataset("nmc_drive_b"), soc0=soc0)
+    run = replay_and_forecast(named_model("nmc-18650", 5.0), log)
+    assert (run.notices[0].code is Code.START_CONTRADICTED) == wrong
+    assert not wrong or "by its voltages" in run.notices[0].text
+    assert [n.code for n in run.critical] == (
+        [Code.START_CONTRADICTED, Code.FAR_OFF] if wrong else []
+    )
+
+
 def test_a_reference_that_leaves_the_cell_is_said_before_its_errors():
     model, log = named_model("nmc-18650", 5.0), cw.load_dataset("nmc_drive_b")
     right = cw.replay(model, log, soc0=1.0, reference_capacity_Ah=5.0)
