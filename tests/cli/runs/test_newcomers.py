@@ -106,6 +106,13 @@ def test_a_reference_that_leaves_the_cell_is_said_before_its_errors():
     assert "the reference runs from SOC -1." in wrong.notices[0].text
 
 
+@pytest.mark.parametrize(("capacity_Ah", "said_so"), [(5.0, False), (4.0, True)])
+def test_more_charge_than_the_stated_capacity_is_said_of_a_replay(capacity_Ah, said_so):
+    """A filter holds the SOC within 0..1, so nothing was said: 4.7 Ah out of 4."""
+    run = cw.replay(named_model("nmc-18650", capacity_Ah), cw.load_dataset("nmc_drive_b"))
+    assert any(n.code is Code.TOO_MUCH_CHARGE for n in run.notices) == said_so
+
+
 def test_no_band_of_the_soc_is_wider_than_a_cell(capsys):
     shown = said(capsys, "replay", "--model", "nmc-18650", "--capacity-ah", "50", "nmc_drive_b")
     bands = [float(b) for b in re.findall(r"±\s([0-9.]+)\s%", shown)]

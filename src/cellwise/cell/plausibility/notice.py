@@ -303,6 +303,8 @@ def along_notices(
     """What a run along a log says of where it leads: outside the model's data, outside 0..1."""
     found = outside_notices(validity, log, soc) + soc_notices(log, soc)
     if model is not None:
+        too_much = any(n.code is Code.TOO_MUCH_CHARGE for n in found)
+        found += [] if too_much else charge_notices(model, log)
         found += assumed_temperature_notices(model, log, model.usual_temperature_C)
     return found
 
@@ -332,6 +334,19 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     text = f" runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC ("
     said = (text, Option("soc0", letter="X"), " states it) and the capacity")
     return [Notice(Code.SOC_OUTSIDE, said, log=name, size_V=RANGE_V * outside)]
+
+
+def charge_notices(model: CellModel, log: CellLog) -> list[Notice]:
+    """More charge than the model's cell holds, which a filter does not follow: it stays in 0..1."""
+    moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    if not moved_Ah > MOST_CHARGE * model.capacity_Ah:
+        return []
+    text = (
+        f" moves {moved_Ah:.4g} Ah, {moved_Ah / model.capacity_Ah:.3g} times the model's capacity: "
+        "another capacity, the unit of the current (mA?), the cells in parallel ("
+    )
+    said = (text, Option("parallel", letter="N"), "), or an offset of the current over days?")
+    return [Notice(Code.TOO_MUCH_CHARGE, said, log=_name(log), size_V=FIRST_V)]
 
 
 def reference_notices(log: CellLog, reference: FloatArray | None) -> list[Notice]:
