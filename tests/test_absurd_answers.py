@@ -27,6 +27,7 @@ from cellwise.report.replay.page import flight_content, flight_finding, replay_p
 from cellwise.report.replay.replay_section import reached, replay_finding
 from cellwise.workflows.replaying import ReplayRequest
 from example_cells import curved_cell, random_log
+from virtual_tester import logged
 
 MODEL = curved_cell()
 MINUTES = 90
@@ -171,7 +172,7 @@ def test_without_a_model_to_update_nothing_is_compared():
 
 def test_a_wrong_start_is_no_large_nis_and_a_wrong_model_is_said_once_on_the_page(tmp_path):
     log = random_log(np.random.default_rng(7), rows=1200)
-    log = replace(log, voltage_V=simulate(MODEL, log, 0.8).voltage_V)
+    log = logged(MODEL, log, 0.8)
     right, wrong = (cw.replay(MODEL, log, "ekf", soc0) for soc0 in (0.8, 0.5))
     assert max(wrong.nis) < max(4.0, 2.0 * max(right.nis))
     assert not [n for n in wrong.notices if n.code is Code.MODEL_OFF]
@@ -220,7 +221,7 @@ def test_a_rest_at_the_end_of_a_log_is_no_present_load(rest_s, capsys):
     time_s = np.arange(1800.0)
     current_A = np.where(time_s < time_s.size - rest_s, MODEL.capacity_Ah, 0.0)
     log = cw.CellLog(time_s, current_A, np.full(time_s.size, 3.7))
-    log = replace(log, voltage_V=simulate(MODEL, log, 0.9).voltage_V)
+    log = logged(MODEL, log, 0.9)
     run = cw.replay_and_forecast(MODEL, log, ReplayRequest("ekf", soc0=0.9))
     assert run.flight.stands == (rest_s > 0)
     print_forecasts(run)

@@ -126,6 +126,7 @@ class Code(Enum):
     MODEL_OFF = "model-off", WARNING, "an error beyond what the model states"
     VOLTAGE_UNUSED = "voltage-unused", WARNING, "the filter used no voltage"
     VOLTAGE_REJECTED = "voltage-rejected", WARNING, "the filter rejects many voltages"
+    START_CONTRADICTED = "start-contradicted", WARNING, "a stated start is not what voltages show"
     LONG_INNOVATION = "long-innovation", WARNING, "the voltage stays off, beyond what is stated"
     SOC_STEP = "soc-step", WARNING, "the SOC steps in one sample: another start explains it better"
     PAUSE_NOT_COUNTED = "pause-not-counted", WARNING, "a simulation begins again after a pause"

@@ -15,7 +15,6 @@ from cellwise.benchmark.figures import COLUMNS, figures_of, state_bytes
 from cellwise.benchmark.run_suite import run_suite
 from cellwise.benchmark.suite import BASELINES, read_suite
 from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filterpy_filters import FilterpyEkf
 from cellwise.estimate.filters.kalman import Ekf
@@ -24,6 +23,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 from cellwise.logs.writing import write_log
 from example_cells import curved_cell
+from virtual_tester import logged
 
 ROWS = 3600
 SOC0 = 0.8
@@ -88,7 +88,7 @@ def folder(tmp_path_factory):
     current[:30] = 0.0
     log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7),
                   charge_Ah=np.cumsum(current) / 3600.0)  # fmt: skip
-    log = replace(log, voltage_V=simulate(cell, log, SOC0).voltage_V)
+    log = logged(cell, log, SOC0)
     write_model(cell, place / "cell.json")
     write_log(log, place / "drive.csv")
     (place / "filters.py").write_text(ADAPTER, encoding="utf-8")

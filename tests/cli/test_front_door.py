@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.writing import write_columns
+from virtual_tester import logged
 
 STOCK = "lmo-pouch"
 CELLS = 8
@@ -27,7 +26,7 @@ def car(soc0: float, seed: int) -> CellLog:
     time = 5.0 * np.arange(300)
     current = model.capacity_Ah * np.repeat(rng.uniform(-0.3, 1.0, 60), 5)
     log = CellLog(time, current, np.full(300, 3.9), np.full(300, 25.0))
-    return replace(log, voltage_V=simulate(model, log, soc0).voltage_V)
+    return logged(model, log, soc0)
 
 
 def day(folder: Path, name: str, seed: int) -> Path:
@@ -126,7 +125,7 @@ def test_a_first_row_without_current_is_no_rest(tmp_path, run_json):
     current = np.full(time.size, 1.5 * model.capacity_Ah)
     current[600] = 0.0
     log = CellLog(time, current, np.full(time.size, 3.9), np.full(time.size, 25.0))
-    log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V).part(600, 1200)
+    log = logged(model, log, 0.9).part(600, 1200)
     place = str(write_log(log, tmp_path / "light.parquet"))
     for command in ("simulate", "replay"):
         start = json.loads(json.dumps(run_json(command, "--model", STOCK, place)["soc0"]))

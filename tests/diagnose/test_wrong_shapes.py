@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise import CellLog, simulate
+from cellwise import CellLog
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from example_cells import curved_cell
+from virtual_tester import logged
 
 SOC0 = 0.95
 CELL = replace(curved_cell(), error=ModelError.of_white_and_slow(1e-3, (1e-3,), 60.0, 0.01))
@@ -21,8 +22,7 @@ def drive(cell, seed, rows=7200):
     level = rng.choice([0.0, 0.5, 1.0, 2.0, -0.5], rows // 30, p=[0.2, 0.25, 0.25, 0.15, 0.15])
     current = np.repeat(level, 30) * 0.65 * cell.capacity_Ah
     log = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), name=f"drive {seed}")
-    voltage = simulate(cell, log, SOC0).voltage_V + rng.normal(0.0, 1e-3, rows)
-    return replace(log, voltage_V=voltage)
+    return logged(cell, log, SOC0, rng.normal(0.0, 1e-3, rows))
 
 
 INSTEAD = pytest.mark.xfail(strict=True, reason="resistance_scale in its place (0.93)")

@@ -10,8 +10,8 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.estimate.replay import replay
-from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
+from virtual_tester import planned
 
 ROWS = 12_000
 SCALES_S = (0.1, 1.0, 10.0, 100.0, 1000.0)
@@ -34,7 +34,7 @@ def process(scale_s, std_V, rng):
 def drive(seed, factors=(1.0,) * 5):
     rng = np.random.default_rng(seed)
     current = np.repeat(rng.normal(0.6, 1.0, ROWS // 20), 20)
-    log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7))
+    log = planned(current)
     clean = simulate_from(curved_cell(), log, 0.9).voltage_V
     wrong = sum(process(s, f * v, rng) for s, v, f in zip(SCALES_S, STD_V, factors, strict=True))
     return replace(log, voltage_V=clean + wrong)
@@ -65,7 +65,7 @@ def test_a_polarisation_that_no_test_could_show_is_stated_where_it_moves(unseen,
     """A fifth of every load's polarisation is missed, with loads that last five minutes."""
     model = curved_cell(error=replace(STATED, unseen_share=unseen))
     current = np.where(np.arange(ROWS) // 300 % 2 == 0, 1.2, 0.0)
-    log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7))
+    log = planned(current)
     clean = simulate_from(curved_cell(), log, 0.9)
     missed = 0.2 * (np.interp(clean.soc, model.soc, model.ocv_V[0]) - clean.voltage_V)
     found = replay(model, replace(log, voltage_V=clean.voltage_V - missed), soc0=0.9, soc0_std=0.01)

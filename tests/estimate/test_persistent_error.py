@@ -15,6 +15,7 @@ from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell
+from virtual_tester import logged
 
 ERROR_V = 0.008
 FILTERS = (Ekf, Ukf, Adaptive)
@@ -27,7 +28,7 @@ def cycled(model, rows=2000, dt=10.0, seed=1):
     current -= np.mean(current)
     current[0] = 0.0
     log = CellLog(dt * np.arange(rows), current, np.full(rows, 3.7))
-    return replace(log, voltage_V=simulate(model, log, 0.5).voltage_V)
+    return logged(model, log, 0.5)
 
 
 def moved(log, volt):

@@ -22,8 +22,8 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import replay
 from cellwise.estimate.sensor import CAR, CLASSES, Sensor, assumed, read_sensor, seen_by
 from cellwise.export.firmware import Firmware
-from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
+from virtual_tester import planned
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "sensor.toml"
 COMPILED = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -159,7 +159,7 @@ def test_a_reading_at_the_end_of_the_range_is_none(kind):
     model, rows = curved_cell(), 200
     sensor = Sensor(current_range_A=6.0)
     current = np.full(rows, 6.0)
-    log = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7))
+    log = planned(current)
     assert np.all(kind(*seen_by(model, sensor)).run(log, 0.8).status[20:] != 0)
     assert not np.any(kind(*seen_by(model, CAR)).run(log, 0.8).status[20:] & 1)
 
@@ -172,7 +172,7 @@ def drive(model, hours=1.5, seed=3):
     rng = np.random.default_rng(seed)
     rows = int(3600 * hours)
     current = np.repeat(rng.gamma(1.0, 0.5, rows // 20 + 1), 20)[:rows] * model.capacity_Ah
-    log = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), np.full(rows, 25.0))
+    log = planned(current, temperature_C=25.0)
     found = simulate(model, log, KNOWN[0])
     stop = int(np.searchsorted(-found.soc, -0.1))
     return replace(log, voltage_V=found.voltage_V).part(0, stop), found.soc[:stop]

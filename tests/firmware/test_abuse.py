@@ -6,18 +6,17 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import PUBLIC_HEADERS, STRICT_FLAGS, firmware_folder, write_sources
 from example_cells import curved_cell
 from firmware_cases import tables_of
+from virtual_tester import logged
 
 pytestmark = pytest.mark.slow
 ANALYSIS = firmware_folder() / "analysis"
@@ -59,7 +58,7 @@ def test_fuzzing_finds_nothing(case, tmp_path):
 def test_a_long_run_stays_sound(wide, tmp_path):
     model = curved_cell(capacity_Ah=5.1)
     drive = load_dataset("nmc_drive_b")
-    drive = replace(drive, voltage_V=simulate(model, drive, 0.95).voltage_V)
+    drive = logged(model, drive, 0.95)
     there = samples_of(model, drive, 0.1).records
     back = there[::-1].copy()
     back["current_A"] *= -1.0  # so that it can be repeated

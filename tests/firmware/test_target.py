@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import CELL, state_type
@@ -18,6 +16,7 @@ from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.logs.cell_log import resample
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
+from virtual_tester import logged
 
 pytestmark = pytest.mark.skipif(not has_tools("cortex-m4f"), reason="no cross tools: make firmware")
 # CELLWISE_FIRMWARE_STEPS=1000000 for the long comparison.
@@ -102,7 +101,7 @@ def test_a_pack_gives_the_same_bytes_within_the_room_there_is(core):
         pytest.skip(f"no compiler or emulator for {core}: make firmware")
     model = curved_cell()
     log = resample(load_dataset("nmc_drive_b"), 1.0)
-    log = replace(log, voltage_V=simulate(model, log, 0.95).voltage_V)
+    log = logged(model, log, 0.95)
     samples = samples_of(model, log, 1.0).records[2000:3200].copy()
     tables = tables_of("lean pack")
     run = run_on_target(tables, core, samples, 0.8, 0.09, cells=96)

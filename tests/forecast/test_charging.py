@@ -21,6 +21,7 @@ from cellwise.live import LiveFilter
 from cellwise.logs import CellLog, read_log, write_log
 from example_cells import curved_cell
 from streams import samples
+from virtual_tester import logged
 
 LIMIT_V, TAPER_A = 4.15, 0.2
 
@@ -110,7 +111,7 @@ def test_regenerative_braking_is_no_charger():
     time = np.arange(600.0)
     current = np.where(time % 60 < 10, -2.0, 2.0)
     log = CellLog(time, current, np.full(600, 3.7))
-    log = replace(log, voltage_V=simulate(model, log, 0.8).voltage_V)
+    log = logged(model, log, 0.8)
     assert forecast_charge(model, replay(model, log, soc0=0.8)) is None
 
 

@@ -17,6 +17,7 @@ from cellwise.fit.population import ModelPrior
 from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs.cell_log import CellLog
 from synthetic import drive_current, driven_log, nmc_cell
+from virtual_tester import logged
 
 NOMINAL_AH = 3.0
 CELL = nmc_cell(2.85)
@@ -130,7 +131,7 @@ def test_a_dozen_drives_from_the_middle_know_the_capacity_better_than_one():
         rows = int(np.argmax(np.cumsum(current) / 3600.0 >= 0.3 * cell.capacity_Ah))
         log = CellLog(np.arange(float(rows)), current[:rows], np.full(rows, 3.7), name=f"{k}")
         noise_V = 5e-4 * rng.standard_normal(rows)
-        logs.append(replace(log, voltage_V=simulate(cell, log, soc).voltage_V + noise_V))
+        logs.append(logged(cell, log, soc, noise_V))
     settings = replace(SETTINGS, without_lineage=("nmc-18650",))
     several, alone = (identify_cell(drives(*x), settings).model for x in (logs, logs[:1]))
     assert several.posterior.capacity_std < 0.85 * alone.posterior.capacity_std

@@ -17,6 +17,7 @@ from cellwise.logs import CellLog, read_log
 from cellwise.notices import Code
 from example_cells import curved_cell
 from synthetic import drive_current
+from virtual_tester import logged
 
 SETTINGS = IdentifySettings(nominal_Ah=3.0, chemistry="NMC", branches=2)
 OFF_V = 0.15
@@ -31,8 +32,7 @@ def made_tests() -> CellTests:
 
     def log(name: str, time_s, current_A) -> CellLog:
         bare = CellLog(time_s, current_A, np.full(time_s.size, 3.7), name=name, soc0=1.0)
-        voltage_V = simulate(cell, bare, 1.0).voltage_V + rng.normal(0.0, 1e-3, time_s.size)
-        return replace(bare, voltage_V=voltage_V)
+        return logged(cell, bare, 1.0, rng.normal(0.0, 1e-3, time_s.size))
 
     hours = np.arange(0.0, 20.0 * 3600.0, 20.0)
     drives = [drive_current(7500.0, 1.0, 4.5, rng) for _ in range(2)]

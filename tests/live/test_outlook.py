@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
@@ -18,6 +17,7 @@ from cellwise.live import LiveFilter
 from cellwise.live.run import LatencyMeter
 from example_cells import curved_cell
 from streams import driven, samples
+from virtual_tester import logged
 
 MODEL = curved_cell()
 
@@ -26,7 +26,7 @@ def under(*loads_A, rows=300, **more):
     """Log, filter, outlook and last sample of a cell at 80 % after so many rows of each load."""
     log = driven(MODEL, rows=rows * len(loads_A))
     log = replace(log, current_A=np.repeat(np.array(loads_A), rows))
-    log = replace(log, voltage_V=simulate(MODEL, log, 0.8).voltage_V)
+    log = logged(MODEL, log, 0.8)
     live = LiveFilter(MODEL, soc0=0.8, soc0_std=0.05)
     outlook = Outlook(MODEL, cutoff_of(MODEL, 3.0), **more)
     for sample in samples(log):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from cellwise.cell.simulate import simulate
 from cellwise.fleet.store import all_rows
-from cellwise.logs import CellLog
 from example_cells import curved_cell
+from virtual_tester import logged, planned
 
 ROWS = 900
 
@@ -20,10 +17,8 @@ def drive(seed, soc0, rows=ROWS):
     model = curved_cell()
     load = np.repeat(rng.normal(1.2, 2.0, rows // 10), 10)
     load[:60] = 0.0
-    drawn = np.cumsum(load) / 3600.0
-    log = CellLog(np.arange(float(rows)), load, np.full(rows, 3.7), np.full(rows, 25.0), drawn)
-    voltage = simulate(model, log, soc0).voltage_V + rng.normal(0.0, 1e-3, rows)
-    return replace(log, voltage_V=voltage)
+    log = planned(load, temperature_C=25.0, counter=True)
+    return logged(model, log, soc0, rng.normal(0.0, 1e-3, rows))
 
 
 def rows_in(out):

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.simulate import simulate
 from cellwise.live import Sample
-from cellwise.logs.cell_log import CellLog
+from virtual_tester import logged, planned
 
 DBC = """VERSION ""
 
@@ -52,8 +50,8 @@ def driven(model, soc0=0.8, rows=600, seed=0, rest=0):
     rng = np.random.default_rng(seed)
     load = np.repeat(rng.normal(0.6, 1.0, rows // 10), 10) * model.capacity_Ah
     load[:rest] = 0.0
-    log = CellLog(np.arange(float(rows)), load, np.full(rows, 3.7), np.full(rows, 25.0))
-    return replace(log, voltage_V=simulate(model, log, soc0).voltage_V)
+    log = planned(load, temperature_C=25.0)
+    return logged(model, log, soc0)
 
 
 def samples(log):

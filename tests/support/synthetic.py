@@ -1,7 +1,8 @@
-"""Synthetic HPPC logs with a known truth: an exact 2-RC cell and a virtual tester, plain NumPy.
+"""Synthetic HPPC logs with a known truth: cells of RC branches and a virtual tester, plain NumPy.
 
 Independent of the package's own kernels on purpose: the RC branches are summed in closed form
-(cumulative exponentials), not stepped, so that this module can serve as an oracle.
+(cumulative exponentials), not stepped, so that this module can serve as an oracle. A cell of any
+number of branches goes through the same `Tester`; `rich_cell` has one of four.
 
     cell = nmc_cell()
     made = hppc_log(cell, HppcPlan(rates_c=(0.5, 1.0), pulse_hz=10.0), rng=default_rng(0))
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,19 @@ Array = NDArray[np.float64]
 Table = Callable[[Array], Array]
 
 INTERNAL_STEP_S = 2.0  # SOC moves little in this time, so the parameters are constant within it
+
+
+class TestedCell(Protocol):
+    """What the tester asks of a cell: functions of SOC (0..1), limits in volt."""
+
+    __test__ = False  # not a test class, whatever pytest thinks of its name
+
+    capacity_Ah: float
+    ocv_V: Table
+    r0_ohm: Table
+    lower_V: float
+    upper_V: float
+    branches: tuple[tuple[Table, Table], ...]  # resistance and time constant of each
 
 
 @dataclass(frozen=True)
@@ -38,6 +52,11 @@ class SyntheticCell:
     tau2_s: Table
     lower_V: float
     upper_V: float
+
+    @property
+    def branches(self) -> tuple[tuple[Table, Table], ...]:
+        """Both, as the tester takes them."""
+        return (self.r1_ohm, self.tau1_s), (self.r2_ohm, self.tau2_s)
 
 
 def nmc_cell(capacity_Ah: float = 3.0) -> SyntheticCell:
@@ -154,11 +173,10 @@ class Tester:
 
     __test__ = False  # not a test class, whatever pytest thinks of its name
 
-    cell: SyntheticCell
+    cell: TestedCell
     soc: float
     rng: np.random.Generator
-    v1: float = 0.0
-    v2: float = 0.0
+    held_V: tuple[float, ...] = ()  # by each branch; empty: none yet
     current_A: float = 0.0
     columns: list[tuple[Array, Array, Array, Array, NDArray[np.bool_]]] = field(
         default_factory=list
@@ -182,7 +200,7 @@ class Tester:
         dt, shown = self._grid(duration_s, hz, fast_hz, plan)
         current = _ramped(self.current_A, current_A, dt, plan.ramp_s)
         soc0, first = self.soc, self.rows
-        soc, v, v1, v2 = self._advance(current, dt)
+        soc, v, waves = self._advance(current, dt)
         over = np.zeros(dt.size, dtype=np.bool_)
         if limited and plan.limit != "none" and current_A != 0.0:
             over = v < self.cell.lower_V if current_A > 0.0 else v > self.cell.upper_V
@@ -192,11 +210,11 @@ class Tester:
             shown = shown.copy()
             if plan.limit == "stop":
                 shown[cut - 1] = True
-            self._keep(dt[:cut], current[:cut], soc[:cut], v[:cut], shown[:cut], v1, v2)
+            self._keep(dt[:cut], current[:cut], soc[:cut], v[:cut], shown[:cut], waves)
             if plan.limit == "cv":
                 self._hold(dt[cut:], shown[cut:], current_A, cutoff_A)
         else:
-            self._keep(dt, current, soc, v, shown, v1, v2)
+            self._keep(dt, current, soc, v, shown, waves)
         self.current_A = float(self.columns[-1][1][-1])
         self.steps.append((first, self.rows, current_A, role, hit, soc0))
 
@@ -229,16 +247,21 @@ class Tester:
         t = t + plan.jitter * h * self.rng.uniform(-0.5, 0.5, t.size)
         return np.append(t, end)
 
-    def _advance(self, current: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
+    def _before(self) -> tuple[float, ...]:
+        return self.held_V or (0.0,) * len(self.cell.branches)
+
+    def _advance(self, current: Array, dt: Array) -> tuple[Array, Array, list[Array]]:
         """SOC, terminal voltage and branch voltages at the end of each interval."""
         cell = self.cell
         used = current * dt / (3600.0 * cell.capacity_Ah)
         soc = self.soc - np.cumsum(used)
         mid = np.clip(soc + 0.5 * used, -0.05, 1.05)  # a step may be asked to run on past empty
         seen = np.clip(soc, -0.2, 1.2)
-        v1 = _branch(self.v1, current, cell.r1_ohm(mid), cell.tau1_s(mid), dt)
-        v2 = _branch(self.v2, current, cell.r2_ohm(mid), cell.tau2_s(mid), dt)
-        return soc, cell.ocv_V(seen) - cell.r0_ohm(seen) * current - v1 - v2, v1, v2
+        waves = [
+            _branch(before, current, r(mid), tau(mid), dt)
+            for before, (r, tau) in zip(self._before(), cell.branches, strict=True)
+        ]
+        return soc, cell.ocv_V(seen) - cell.r0_ohm(seen) * current - sum(waves), waves
 
     def _keep(
         self,
@@ -247,33 +270,33 @@ class Tester:
         soc: Array,
         v: Array,
         shown: NDArray[np.bool_],
-        v1: Array,
-        v2: Array,
+        waves: list[Array],
     ) -> None:
         if dt.size == 0:
             return
         self.columns.append((dt, i, soc, v, shown))
         self.rows += dt.size
-        self.soc, self.v1, self.v2 = float(soc[-1]), float(v1[dt.size - 1]), float(v2[dt.size - 1])
+        self.soc, self.held_V = float(soc[-1]), tuple(float(w[dt.size - 1]) for w in waves)
 
     def _hold(self, dt: Array, shown: NDArray[np.bool_], asked_A: float, cutoff_A: float) -> None:
         """Hold the limit: the current that puts the voltage there, row by row."""
         cell = self.cell
         target = cell.lower_V if asked_A > 0.0 else cell.upper_V
         out: list[tuple[float, float, float, float, bool]] = []
-        soc, v1, v2, i = self.soc, self.v1, self.v2, asked_A
+        soc, held, i = self.soc, self._before(), asked_A
         for h, seen in zip(dt.tolist(), shown.tolist(), strict=True):
             for _ in range(12):
                 used = i * h / (3600.0 * cell.capacity_Ah)
                 s, mid = np.array([soc - used]), np.array([soc - 0.5 * used])
-                a1, a2 = np.exp(-h / cell.tau1_s(mid))[0], np.exp(-h / cell.tau2_s(mid))[0]
-                r1, r2 = cell.r1_ohm(mid)[0], cell.r2_ohm(mid)[0]
-                n1, n2 = a1 * v1 + r1 * (1 - a1) * i, a2 * v2 + r2 * (1 - a2) * i
-                v = (cell.ocv_V(s) - cell.r0_ohm(s) * i)[0] - n1 - n2
+                left = [float(np.exp(-h / tau(mid))[0]) for _, tau in cell.branches]
+                gain = [float(r(mid)[0]) * (1 - a)
+                        for (r, _), a in zip(cell.branches, left, strict=True)]  # fmt: skip
+                now = tuple(a * v0 + g * i for a, g, v0 in zip(left, gain, held, strict=True))
+                v = (cell.ocv_V(s) - cell.r0_ohm(s) * i)[0] - sum(now)
                 if abs(v - target) < 1e-9:
                     break
-                i += (v - target) / (cell.r0_ohm(s)[0] + r1 * (1 - a1) + r2 * (1 - a2))
-            soc, v1, v2 = soc - used, n1, n2
+                i += (v - target) / (cell.r0_ohm(s)[0] + sum(gain))
+            soc, held = soc - used, now
             out.append((h, i, soc, v, seen))
             if abs(i) < cutoff_A:
                 out[-1] = (h, i, soc, v, True)
@@ -282,7 +305,7 @@ class Tester:
             h_, i_, s_, v_, seen_ = (np.array(c) for c in zip(*out, strict=True))
             self.columns.append((h_, i_, s_, v_, seen_.astype(np.bool_)))
             self.rows += h_.size
-            self.soc, self.v1, self.v2 = float(soc), float(v1), float(v2)
+            self.soc, self.held_V = float(soc), held
 
 
 def _ramped(before: float, after: float, dt: Array, ramp_s: float) -> Array:
@@ -413,7 +436,7 @@ def driven_log(
     rng = rng or np.random.default_rng(0)
     tester = Tester(cell, soc, rng)
     dt = np.full(current_A.size - 1, 1.0 / hz)
-    _, v, _, _ = tester._advance(current_A[1:], dt)
+    _, v, _ = tester._advance(current_A[1:], dt)
     first = cell.ocv_V(np.array([soc])) - cell.r0_ohm(np.array([soc])) * current_A[0]
     n = current_A.size
     return CellLog(

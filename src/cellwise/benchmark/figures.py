@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.cell.metrics import NEAR_EMPTY
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.replay import Replay, soc_errors
 from cellwise.typing import FloatArray
 
-LOW_SOC = 0.1
 MISSING = float("nan")
 OUTSIDE = 0.05  # share of the rows that a band of two deviations may leave outside
 
@@ -33,7 +33,7 @@ def figures_of(found: Replay, truth: FloatArray) -> dict[str, Any]:
     error = found.trace.soc - truth
     every = soc_errors(error)
     settled = found.settled or soc_errors(error)
-    low = error[truth <= LOW_SOC]
+    low = error[truth <= NEAR_EMPTY]
     known = np.flatnonzero(np.isfinite(error))
     row: dict[str, Any] = {
         "soc_rmse": every.rmse,

@@ -115,7 +115,7 @@ def score_submission(
     need(place.is_file(), f"no file '{path}'", "a Model.py or Model.m", "Correct the path.")
     run = _by_octave if place.suffix == ".m" else _in_process
     answers = run(place, [job.rows for job in jobs])
-    runs, warm = [], []
+    runs, temperature_C = [], []
     for job, soc in zip(jobs, answers, strict=True):
         off = 100.0 * (soc[PADDING_ROWS:] - job.truth)
         need(
@@ -125,24 +125,24 @@ def score_submission(
             "Correct the model.",
         )
         runs.append(ScoredRun(job.case, job.log, job.change, float(np.sqrt(np.mean(off**2)))))
-        warm.append(job.temperature_C)
-    cases = _cases(runs, np.array(warm))
+        temperature_C.append(job.temperature_C)
+    cases = _cases(runs, np.array(temperature_C))
     weight = sum(WEIGHTS[name] for name in cases)
     return Score(sum(WEIGHTS[n] * v for n, v in cases.items()) / weight, cases, tuple(runs))
 
 
 def _jobs(log: CellLog, soc0: float, capacity_Ah: float) -> list[_Job]:
-    warm = log.temperature_C
-    if warm is None:
+    temperature_C = log.temperature_C
+    if temperature_C is None:
         raise InputError(
             f"a log '{log.name}' without temperature",
             "one that was measured: a submission is handed it",
             "State it behind the file, as LOG@temperature_C=25.",
         )
     log = resample(log, 1.0)
-    warm = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
+    temperature_C = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
     truth = soc0 - log.counted_charge_Ah() / capacity_Ah
-    rows = np.column_stack([-log.known_current_A(), log.voltage_V, warm])
+    rows = np.column_stack([-log.known_current_A(), log.voltage_V, temperature_C])
     known = np.isfinite(rows).all(axis=1)
     rows, truth = rows[known], truth[known]
     need(

@@ -28,7 +28,6 @@ from cellwise.typing import FloatArray
 from cellwise.wording import arg
 
 MOST_LOCATED = 512
-ROOM_C = 25.0  # where nobody measured or stated a temperature
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,14 +24,13 @@ from cellwise.benchmark.package_rows import (
 )
 from cellwise.benchmark.suite import Suite, SuiteCell
 from cellwise.benchmark.suite_logs import (
-    ROOM_C,
     JudgedLog,
     at_step,
     cell_model,
     judged_log,
     training_logs,
 )
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import USUAL_C, CellModel
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import Adapted, Estimator, make_estimator
@@ -158,7 +157,7 @@ def _temperature_C(cell: SuiteCell) -> float:
     """At which a cell was tested, as it is stated; a room's where it is not."""
     stated = (Stated.parse(p).temperature_C for p in (*cell.hppc, *cell.drive))
     known = (t for t in (cell.temperature_C, *stated) if t is not None)
-    return next(known, ROOM_C)
+    return next(known, USUAL_C)
 
 
 def run_all(place: SuiteFolders, runs: tuple[BenchmarkRun, ...], key: str) -> list[dict[str, Any]]:

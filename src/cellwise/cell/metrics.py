@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cellwise.typing import FloatArray
 
+NEAR_EMPTY = 0.1  # SOC below which the OCV is steep and the resistance high: judged apart
 BANDS = tuple((k / 10, (k + 1) / 10) for k in range(10))
 
 

@@ -236,10 +236,16 @@ class CellModel(Plottable, Summarised, Tabular):
         if self.temperature_C.size > 1:
             grid += f" x {self.temperature_C.size} temperatures"
         extra = ", ".join(e.name for e in self.effects)
+        # Where the tables lie: a headline at another temperature would rest on the activation.
+        of_tables = self.effect(TemperatureDependence)
+        at_C = self.usual_temperature_C if self.temperature_C.size > 1 else of_tables.reference_C
+        known = self.temperature_C.size > 1 or of_tables in self.effects
+        where = f" at {at_C:.0f} degC" if known else ""
+        r0_ohm = self.at_temperature(at_C).r0_ohm
         return (
             f"CellModel({self.name or 'unnamed'}: {self.capacity_Ah:.4g} Ah, {grid}, "
             f"OCV {self.ocv_V.min():.3f} to {self.ocv_V.max():.3f} V, "
-            f"R0 {1e3 * np.median(self.r0_ohm):.3g} mohm{', ' + extra if extra else ''})"
+            f"R0 {1e3 * np.median(r0_ohm):.3g} mohm{where}{', ' + extra if extra else ''})"
         )
 
     @property
@@ -370,6 +376,11 @@ class CellModel(Plottable, Summarised, Tabular):
         )
 
     @property
+    def is_stock(self) -> bool:
+        """Whether it is a stock model, scaled or not: of a cell of the kind, not of this one."""
+        return "stock" in self.provenance
+
+    @property
     def usual_temperature_C(self) -> float:
         """Taken where nobody measured [degC]: 25, or where the data come nearest to that."""
         low, high = float(self.temperature_C[0]), float(self.temperature_C[-1])
@@ -483,9 +494,9 @@ def check_model(model: CellModel) -> None:
 
 def _faults(model: CellModel) -> Iterator[tuple[str, str, str]]:
     """What is wrong with a model: found, expected, what to do."""
-    shape, warm = model.ocv_V.shape, model.temperature_C
-    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != warm.shape:
-        found = f"OCV table of shape {shape} with {warm.size} temperature(s)"
+    shape, temperature_C = model.ocv_V.shape, model.temperature_C
+    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != temperature_C.shape:
+        found = f"OCV table of shape {shape} with {temperature_C.size} temperature(s)"
         expected = "one row per temperature and at least two SOC points"
         yield found, expected, "Give every table the shape (temperatures, soc points)."
     capacity, efficiency = model.capacity_Ah, model.charge_efficiency
@@ -495,8 +506,8 @@ def _faults(model: CellModel) -> Iterator[tuple[str, str, str]]:
         expected = "a share between 0.5 and 1.05"
         found = f"charge_efficiency = {efficiency}"
         yield found, expected, "Give it as a fraction, not in per cent."
-    if not np.all(np.isfinite(warm)) or np.any(np.diff(warm) <= 0):
-        found = f"temperatures {warm.tolist()}"
+    if not np.all(np.isfinite(temperature_C)) or np.any(np.diff(temperature_C) <= 0):
+        found = f"temperatures {temperature_C.tolist()}"
         yield found, "finite temperatures that rise", "Sort the tables by temperature."
     limits = (model.voltage_min_V, model.voltage_max_V)
     known = [limit for limit in limits if limit is not None]

@@ -19,6 +19,7 @@ from cellwise.cell.equations import (
     voltage_of,
 )
 from cellwise.cell.metrics import (
+    NEAR_EMPTY,
     BandMetrics,
     ErrorMetrics,
     band_metrics,
@@ -128,7 +129,7 @@ class Simulation(Plottable, Tabular):
     @property
     def rmse_above_10pct_V(self) -> float:
         """RMSE over the rows whose simulated SOC is above 0.1 [V]."""
-        return error_metrics(self.residual_V[self.soc > 0.1]).rmse_V
+        return error_metrics(self.residual_V[self.soc > NEAR_EMPTY]).rmse_V
 
     @property
     def band_V(self) -> float:
@@ -142,7 +143,7 @@ class Simulation(Plottable, Tabular):
     @property
     def band_above_10pct_V(self) -> float:
         """The same over the rows whose simulated SOC is above 0.1 [V]; NaN: there is none."""
-        above = self.stated_V[self.soc > 0.1]
+        above = self.stated_V[self.soc > NEAR_EMPTY]
         return float(np.sqrt(np.mean(above**2))) if above.size else math.nan
 
     @property

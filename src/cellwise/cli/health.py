@@ -40,7 +40,7 @@ from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
 from cellwise.report.history_page import LOG_COLUMNS, history_page, log_rows
-from cellwise.report.pack_page import CELL_COLUMNS, pack_page
+from cellwise.report.pack_page import CELL_COLUMNS, pack_facts, pack_page
 from cellwise.report.page.markup import MOST
 
 
@@ -69,26 +69,14 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
-    percent, amount, data = printing.percent, printing.amount, found.to_dict()
-    soc, weakest = data["soc"], data["weakest"]
+    data = found.to_dict()
     first = found.notices[:1] if found.model_mismatch else ()
     printing.say_notices(first)
     printing.table(
         f"{data['cells']} cells, {len(found.days)} log(s)",
         ("what", "found"),
-        [
-            ("SOC, lowest / mean / highest",
-             " / ".join(f"{percent(soc[k], 1)} %" for k in ("min", "mean", "max"))),
-            ("usable as the cells are",
-             f"{amount(data['usable_Ah'], 'Ah')} ({amount(data['usable_Wh'], 'Wh', 0)})"),
-            ("left until the first cell is empty", amount(data["left_Ah"], "Ah")),
-            ("balancing would bring", amount(data["balancing_gain_Ah"], "Ah")),
-            ("least SOC", weakest["by_soc"]),
-            ("least capacity", weakest["by_capacity"]),
-            ("most resistance", weakest["by_resistance"]),
-            ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
-        ],
-    )  # fmt: skip
+        pack_facts(found),
+    )
     # What is not known comes last.
     rows = sorted(
         data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
@@ -130,10 +118,20 @@ def data_of_life(found: AgeingHistory) -> dict[str, Any]:
 def said_of_change(found: AgeingHistory) -> str:
     """Whether the logs show that the capacity changed."""
     change = found.change
+    if len(found.logs) < 2:
+        return "one log shows no change: it takes a second one"
     size = f"{100.0 * change.share:+.1f} +- {200.0 * change.std:.1f} % of the new cell's capacity"
     if change.shown:
         return f"changed since the first log: {size}"
     return f"no change of the capacity shown ({size}): what to use is of all logs together"
+
+
+def said_of_logs(found: AgeingHistory) -> str:
+    """How many they are, and over what."""
+    if len(found.logs) < 2:
+        return "one log"
+    unit = "days" if found.over == "days" else "Ah moved"
+    return f"{len(found.logs)} logs over {found.way[-1]:.0f} {unit}"
 
 
 def print_life(found: AgeingHistory) -> None:
@@ -141,7 +139,7 @@ def print_life(found: AgeingHistory) -> None:
     data = found.to_dict()
     printing.say_notices(found.mismatches)
     printing.record_table(
-        f"{len(found.logs)} logs over {found.way[-1]:.0f} {found.over}",
+        said_of_logs(found),
         log_rows(found),
         *LOG_COLUMNS,
     )

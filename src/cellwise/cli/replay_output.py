@@ -61,7 +61,8 @@ def print_replay(found: Replay, run: ReplayAndForecast | None = None, *, sure: b
         if run.began is not None and run.began.beginning is not None:  # the whole log says more
             began = f"{band(run.began.soc, run.began.std, 4)} ({run.began.how})"
             rows["began at, seen afterwards"] = began
-        rows["within 2 %, by model and current"] = _after(run.expected_s)
+        if run.far is None:
+            rows["within 2 %, by model and current"] = _after(run.expected_s)
     if found.settled is None:
         rows["SOC error"] = "no reference: give --reference-capacity-ah and a counter"
     values = (found.to_dict() if run is None else run.figures()).get("parameters")

@@ -164,9 +164,13 @@ def _of(group: Sequence[FoundFile], *kinds: str) -> list[FoundFile]:
 
 
 def _size_Ah(group: Sequence[FoundFile]) -> float:
-    """The largest whole discharge [Ah]; by pulse tests where there is none, else 0."""
-    whole = max((f.whole_Ah for f in group if f.kind != "charge"), default=0.0)
-    return whole or max((f.moved_Ah for f in _of(group, "hppc")), default=0.0)
+    """The largest whole discharge [Ah]; what pulse tests moved where there is none, else 0."""
+    return _whole_Ah(group) or max((f.moved_Ah for f in _of(group, "hppc")), default=0.0)
+
+
+def _whole_Ah(group: Sequence[FoundFile]) -> float:
+    """The largest whole discharge [Ah], else 0: pulses over a part of the range are no capacity."""
+    return max((f.whole_Ah for f in group if f.kind != "charge"), default=0.0)
 
 
 def groups_of(files: Sequence[FoundFile]) -> list[list[FoundFile]]:
@@ -220,7 +224,7 @@ def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) 
     identify = ["identify"]
     for one in used:
         identify += [f"--{one.kind if one.kind in TESTS else 'drive'}", one.stated]
-    nominal = arguments.nominal_ah or float(f"{_size_Ah(group):.3g}")
+    nominal = arguments.nominal_ah or float(f"{_whole_Ah(group):.3g}")
     identify += ["--nominal-ah", f"{nominal:g}" if nominal else UNKNOWN]
     prior = arguments.prior or ("lipo-pouch" if _of(group, "flight") else None)
     identify += ["--prior", prior] if prior else []

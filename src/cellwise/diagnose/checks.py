@@ -95,6 +95,7 @@ FEWEST_ROWS = 60  # with a voltage
 LEAST_CURRENT_C = 0.02  # in units of 1C
 
 # Beyond these the log is of another kind of cell, whatever its age.
+OTHER_CELL = "this looks like another cell"
 OTHER_CELL_V = 0.12
 OTHER_CELL_SOC = 0.25  # beyond 0 to 1
 OUTSIDE_K = 8.0  # of the model's temperatures: it was not measured at the log's
@@ -126,7 +127,7 @@ def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
 
 
 def another_cell(model: CellModel, evidence: ScoredRows, base: Fit) -> str:
-    """Why the log cannot be of the model's kind of cell; empty if it can.
+    """Why the log cannot be of the model's kind of cell, or from its start; empty if it can.
 
     ``base`` is the best the model can do within its tolerances. A voltage far outside the model's
     window, a charge beyond any capacity, or an error no fault explains is another cell.
@@ -136,16 +137,23 @@ def another_cell(model: CellModel, evidence: ScoredRows, base: Fit) -> str:
     middle = float(np.median(voltage))
     if middle > high + OTHER_CELL_V or middle < low - OTHER_CELL_V:
         return (
-            f"the log's median voltage {middle:.2f} V lies outside the model's OCV "
+            f"{OTHER_CELL}: the log's median voltage {middle:.2f} V lies outside the model's OCV "
             f"({low:.2f} to {high:.2f} V)"
         )
     lowest, highest = float(np.min(base.soc[used])), float(np.max(base.soc[used]))
     if lowest < -OTHER_CELL_SOC or highest > 1.0 + OTHER_CELL_SOC:
         moved = (highest - lowest) * model.capacity_Ah
-        return f"the log moves {moved:.3g} Ah through a model of {model.capacity_Ah:.3g} Ah"
+        through = f"the log moves {moved:.3g} Ah through a model of {model.capacity_Ah:.3g} Ah"
+        if highest - lowest <= 1.0 + OTHER_CELL_SOC:  # it holds as much, from another start
+            return (
+                f"{through}, and from its start the SOC would run from {lowest:.2f} to "
+                f"{highest:.2f}: the start is wrong"
+            )
+        return f"{OTHER_CELL}: {through}"
     error = float(np.median(np.abs(voltage - base.voltage_V[used])))
     if error > OTHER_CELL_V:
-        return f"the model is {1e3 * error:.0f} mV off in the median, more than any fault explains"
+        off = f"the model is {1e3 * error:.0f} mV off in the median"
+        return f"{OTHER_CELL}: {off}, more than any fault explains"
     return ""
 
 
@@ -195,16 +203,16 @@ def claim_checks(
         known = np.isfinite(error)
         if not known.any():
             continue
-        warm = float(np.median(rows.temperature_C))
-        drop = polarisation_of(model, soc, np.full(soc.size, warm), run.before.voltage_V)
+        temperature_C = float(np.median(rows.temperature_C))
+        drop = polarisation_of(model, soc, np.full(soc.size, temperature_C), run.before.voltage_V)
         share = share_claimed(model.error, drop, charged_for_minutes(run.log))
-        slope = np.gradient(model.ocv_at(warm), model.soc)
+        slope = np.gradient(model.ocv_at(temperature_C), model.soc)
         start = rows.start.std * np.interp(soc, model.soc, slope)
         steps = np.abs(np.diff(error))
         steps = steps[np.isfinite(steps)]
         noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0
         white = max(model.error.white_V, min(noise, OTHER_SENSOR_V))
-        claim2 = np.asarray(model.slow_error_V(soc, warm)) ** 2
+        claim2 = np.asarray(model.slow_error_V(soc, temperature_C)) ** 2
         claim2 = claim2 + (share * drop) ** 2 + white**2 + start**2
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))

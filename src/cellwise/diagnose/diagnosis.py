@@ -138,8 +138,7 @@ def diagnose(
         fits.calibrate(CauseFits.of(gather(model, good, whole=True), coordinates, seed))
     base, scale = fits.base()
     if other := another_cell(model, evidence, base):
-        why = f"this looks like another cell: {other}"
-        return with_faults(replace(open_, reasons=(why,)), faults, *both)
+        return with_faults(replace(open_, reasons=(other,)), faults, *both)
     asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
     shown = limits(fits, chosen, base, scale, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)

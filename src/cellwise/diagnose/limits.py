@@ -269,6 +269,6 @@ def _simulated(
     flow = (current - inputs.offset_A) / inputs.gain
     voltage, soc = np.empty(flow.size), np.empty(flow.size)
     start = empty_state(experiment.soc0, start_hysteresis(experiment.soc0))
-    dt, warm = np.ones(flow.size), np.full(flow.size, experiment.temperature_C)
-    simulate_rows(inputs.tables, start, dt, flow, warm, voltage, soc)
+    dt, temperature_C = np.ones(flow.size), np.full(flow.size, experiment.temperature_C)
+    simulate_rows(inputs.tables, start, dt, flow, temperature_C, voltage, soc)
     return voltage + inputs.added_V

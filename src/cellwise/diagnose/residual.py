@@ -59,13 +59,13 @@ def residual_analysis(model: CellModel, log: CellLog, soc0: float) -> dict[str, 
     e = error_V[known]
     one_C = model.capacity_Ah
     moved_Ah = np.cumsum(np.abs(np.nan_to_num(log.known_current_A()) * log.interval_s)) / 3600.0
-    warm = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
+    temperature_C = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
     rates = (*(-x for x in reversed(RATES_C)), *RATES_C)
     divided: dict[str, tuple[FloatArray, Sequence[float | None]]] = {
         "by_soc": (run.soc, [k / PARTS for k in range(PARTS + 1)]),
         "by_current_C": (log.interval_current_A / one_C, (None, *rates, None)),
         "by_edge_s": (_since_edge_s(log, EDGE_C * one_C), (0.0, *SINCE_S, None)),
-        "by_temperature_C": (warm, _steps(warm)),
+        "by_temperature_C": (temperature_C, _steps(temperature_C)),
         "by_time_s": (elapsed_s, _parts(elapsed_s)),
         "by_charge_Ah": (moved_Ah, _parts(moved_Ah)),
     }

@@ -1,4 +1,4 @@
-"""How much a voltage weighs: its variance, the memory of the model's error, gate, what stays."""
+"""Variance of a voltage, the memory of the model's error, and the station ``gate`` of a step."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def stated_deviation(
 
 
 class GateResult(NamedTuple):
-    """What becomes of a voltage.
+    """What becomes of a voltage: the `Verdict` on it, and what is kept of the sensors.
 
     ``inverse`` is one over the variance that weighs it where it is accepted.
     """

@@ -21,6 +21,7 @@ from cellwise.cell.plausibility.notice import (
     find_mismatch,
     in_order,
     prediction_notices,
+    reference_notices,
     times_stated,
 )
 from cellwise.cell.plausibility.sizes import check_log_of
@@ -196,6 +197,7 @@ class Replay(Plottable, Tabular):
         found = [] if self.model_mismatch is None else [self.model_mismatch]
         trace = self.trace
         found += along_notices(self.model, self.validity, self.log, trace.soc)
+        found += reference_notices(self.log, self.reference_soc)
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
             found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
             found += self._remarks()

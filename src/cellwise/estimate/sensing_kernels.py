@@ -1,6 +1,7 @@
 """What a sample goes through before a filter believes it: missing, impossible and frozen readings.
 
-The filters share this so that a fault means the same in each, and so do the weights of evidence.
+The filters share this so that a fault means the same in each. In names of functions a ``watch`` is
+the `SensorMonitor`.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ class SensorMonitor(NamedTuple):
     """What is remembered of the sensors from one sample to the next.
 
     ``evidence_s`` is the time since the first voltage, or since a recovery: the model's error is
-    not remembered for longer. ``voltage_V`` is the last reading, seen ``repeats`` times in a row
-    since the current was ``frozen_A``. ``no_warm_s`` is how long the temperature has been lost,
-    negative where none was ever measured. ``swings`` counts how often the voltage has gone up and
-    down while the current repeated itself; its sign is that of the last one.
+    not remembered for longer. NOT_BEGUN_S and NO_VOLTAGE_YET_S stand for what was before.
+    ``voltage_V`` is the last reading, seen ``repeats`` times in a row since the current was
+    ``frozen_A``. ``no_warm_s`` is how long the temperature has been lost, negative where none was
+    ever measured. ``swings`` counts how often the voltage has gone up and down while the current
+    repeated itself; its sign is that of the last one.
     """
 
     current_A: float

@@ -1,5 +1,7 @@
 """The capacity of a fit and how far it is open, beyond what the quadratic at its end says.
 
+`at_open_capacity` fits again at the mean of the profile, and widens the covariance to its spread.
+
 Near empty the OCV is steep and every table open, and a row may be far off there. A fit holds what
 rows may be, step by step, so it does not pay for widening that: it lets logs end at empty, where
 much is forgiven. So the other unknowns are fitted at each of several capacities, and each is

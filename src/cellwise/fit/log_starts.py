@@ -42,6 +42,7 @@ TRIALS = Trials()
 class Beginning(NamedTuple):
     """A log's start: the most probable, its deviation, and how probable it is that it was full.
 
+    ``full`` is a probability; where it is above a half, ``std`` is of the other starts about full.
     ``ln_evidence`` is that of the log over all starts.
     """
 

@@ -106,7 +106,10 @@ def polarisation_of(
 
 
 class _Cells(NamedTuple):
-    """Rows of one log, SOC and direction together, for each band; arrays of shape (cells,)."""
+    """Rows of one log, SOC and direction together, for each band; arrays of shape (cells,).
+
+    A cell is a bin of the SOC here, ``EVIDENCE.cell_soc`` wide, and no battery.
+    """
 
     soc: FloatArray
     charge: FloatArray  # 1 where the cell is charged

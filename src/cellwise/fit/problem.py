@@ -301,7 +301,10 @@ def products_of(jacobian: FloatArray, places: IndexArray) -> Products:
 
 
 def independent_errors(log: PreparedLog) -> float:
-    """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC."""
+    """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC.
+
+    ``cells`` are bins of the SOC, ``EVIDENCE.cell_soc`` wide.
+    """
     shown = log.compared_soc
     # What shifts a low-rate test shifts it over twice as much alike.
     alike = EVIDENCE.cell_soc * (1.0 + log.item.low_rate)

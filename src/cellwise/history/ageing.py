@@ -12,7 +12,7 @@ import numpy as np
 
 from cellwise.arguments import several
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import withheld
+from cellwise.cell.plausibility.notice import outside_notices, withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
@@ -238,6 +238,10 @@ class AgeingHistory(Plottable, Tabular):
             if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
         ]
         found = [*self.mismatches]
+        # Of many logs the one of the largest current: a cell of another size is seen by it.
+        largest = max(self.logs, key=lambda one: float(np.nanmax(np.abs(one.log.current_A))))
+        soc = largest.soc_start - largest.log.counted_charge_Ah() / self.model.capacity_Ah
+        found += outside_notices(self.model.validity, largest.log, np.clip(soc, 0.0, 1.0))
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
             text = (

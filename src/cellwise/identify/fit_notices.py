@@ -62,11 +62,13 @@ def poor_fit(own: Sequence[OwnLog]) -> list[Notice]:
     worst = int(np.argmax(typical))
     if not typical[worst] > SAID.poor_V:
         return []
+    log = used[worst].simulation.log
     text = (
-        f"the model DOES NOT FIT: typically {1e3 * typical[worst]:.0f} mV off "
-        f"'{used[worst].simulation.log.name}': another kind of cell, number of cells in series ("
+        f"the model DOES NOT FIT: typically {1e3 * typical[worst]:.0f} mV off '{log.name}': "
+        "another kind of cell, number of cells in series ("
     )
-    said = (text, Option("series", letter="N"), ") or unit?")
+    end = ") or unit?" if log.soc0 is None else "), unit or stated start?"
+    said = (text, Option("series", letter="N"), end)
     return [Notice(Code.DOES_NOT_FIT, said, size_V=RANGE_V)]
 
 

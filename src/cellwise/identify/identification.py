@@ -42,12 +42,12 @@ class IdentifySettings:
     capacity_choice : str or None      which capacity defines SOC; None: the slowest discharge
     method : str                       how single pulses are fitted
     tables : str                       ``spline`` or the paper's ``cubic`` over SOC
-    refine : bool                      fit the tables to whole logs after the pulses
+    refine : bool                      fit whole logs; else the tables are those of single pulses
     branches : int                     2 (plain Thevenin) or 3 (with the slow branch)
-    hysteresis : bool or None          None: when both low-rate branches show a gap
+    hysteresis : bool or None          None: where the cell is of the class of LFP
     temperature_C : float or None      temperature of the tests where no log measures it
-    prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
-                                       a stock model where the logs see too little of the SOC range
+    prior : CellModel or None          a model of such a cell to start from, of any capacity; of a
+                                       stock model, as with None, the class of its chemistry
     name, chemistry : str              written into the model
     without_lineage : tuple of str     stock models left out of the prior, with all of their cells
 
@@ -260,7 +260,8 @@ class PlainComparison(NamedTuple):
             return None
         text = (
             f"{self.reason}: the plain one is handed out (low-rate curve, R0, two branches, no "
-            "effects, a wide posterior). A fault of the fit or of the logs: please report it"
+            "effects, a wide posterior). A fault of the logs, of a chemistry or prior that was "
+            "stated, or of the fit: please report that"
         )
         return Notice(Code.PLAIN_MODEL, text)
 
@@ -283,6 +284,8 @@ class PlainComparison(NamedTuple):
 class Fitted:
     """What a fit gives, of laboratory tests or from a prior: the model and where it comes from.
 
+    Of a `FitResult` (unknowns) a `JointFit` makes a model with effects, this adds its error, OCV
+    and pulses, and an `Identification` the own logs.
     ``starts`` holds every log that was given; ``provenance`` the stations' own entries.
     """
 

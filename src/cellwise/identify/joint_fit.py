@@ -219,7 +219,8 @@ def gather_logs(
         raise InputError(
             starts[0].left_out + f" in log '{starts[0].log.name}'",
             f"at least {ROLES.fewest_rows} rows, and {ROLES.least_moved:.1%} of the capacity moved",
-            "Give a longer log, or check its columns.",
+            "Give a longer log, or check its columns and the capacity of "
+            f"{capacity.capacity_Ah:g} Ah (mAh for Ah?).",
         )
     say("starts")
     joint = partial(
@@ -227,7 +228,7 @@ def gather_logs(
         scaled=bool(checked.tests.ocv),
     )  # fmt: skip
     known = settings.prior
-    if known is not None and "stock" not in known.provenance:
+    if known is not None and not known.is_stock:
         one = ModelPrior(known)
         return joint(one, one.grid_C)
     # A stock model is one cell of its class: by the evidence it would be preferred for its narrow

@@ -4,7 +4,8 @@
          -> own logs -> model
 
 Each station takes the record of the one before and gives its own, with what it found wrong and what
-it has to say.
+it has to say. OCV and pulses come after the model, since they do not lead to it: they are for the
+report, the methods of the papers, and a model without ``refine``.
 """
 
 from __future__ import annotations

@@ -38,17 +38,17 @@ class FollowedFilter:
             known_C = self.live.known_temperature_C(sample)
             seen = update.dt_s, sample.current_A, info.innovation_V, info.soc, info.voltage_V
             self.far.look(*seen, known_C)
-        warm = self._temperature_C(update)
+        temperature_C = self._temperature_C(update)
         if self.displayed is not None:
             self.since_expected_s += update.dt_s
             if self.since_expected_s >= FORECAST_EVERY_S:
                 self.since_expected_s = 0.0
-                self.displayed.expect(*self.outlook.end_socs(state, warm))
+                self.displayed.expect(*self.outlook.end_socs(state, temperature_C))
             dt_s = 0.0 if update.gap else update.dt_s
             self.percent = self.displayed.take(info.soc, sample.current_A, sample.voltage_V, dt_s)
         if self.power is not None and state is not None:
             reading = MeasuredSample(
-                sample.current_A, sample.voltage_V, warm, update.dt_s, update.gap
+                sample.current_A, sample.voltage_V, temperature_C, update.dt_s, update.gap
             )
             self.power.take(reading, state, info.status)
 
@@ -60,9 +60,9 @@ class FollowedFilter:
 
     def columns(self, update: Update) -> dict[str, Any]:
         """Time and energy to empty, power if it is asked for, the cells of a pack: for JSON."""
-        state, warm = self.live.state, self._temperature_C(update)
-        foreseen = self.outlook.columns(state, warm)
-        foreseen |= {} if self.power is None else self.power.columns(state, warm)
+        state, temperature_C = self.live.state, self._temperature_C(update)
+        foreseen = self.outlook.columns(state, temperature_C)
+        foreseen |= {} if self.power is None else self.power.columns(state, temperature_C)
         cells = {} if self.live.pack is None else self.live.pack.columns()
         if self.model_mismatch is not None:
             foreseen = dict.fromkeys(foreseen)
@@ -72,16 +72,16 @@ class FollowedFilter:
 
     def row(self, update: Update) -> dict[str, Any]:
         """All that is known after a sample, for whoever is sent it."""
-        warm = self.live.known_temperature_C(update.sample)
-        return state_row(update) | {"temperature_C": warm} | self.columns(update)
+        temperature_C = self.live.known_temperature_C(update.sample)
+        return state_row(update) | {"temperature_C": temperature_C} | self.columns(update)
 
     def outside(self, update: Update) -> str | None:
         """That a sample lies outside what the model's data covered, and where; else None."""
         sample, info, model = update.sample, update.info, self.live.model
         if not info.status & Status.OUTSIDE:
             return None
-        warm = self.live.known_temperature_C(sample)
-        where = outside_moment(model.validity, info.soc, warm, sample.current_A)
+        temperature_C = self.live.known_temperature_C(sample)
+        where = outside_moment(model.validity, info.soc, temperature_C, sample.current_A)
         if where is None:
             return None
         grows = "not validated there, the standard deviation grows"

@@ -255,6 +255,12 @@ class MavlinkSender:
         more = mV[10:] + [0] * (4 - len(mV[10:]))
         known_A = math.isfinite(current_A)
         current_cA = round(100.0 * current_A * self._options.parallel) if known_A else NO_CURRENT_CA
-        warm = float(row.get("temperature_C", math.nan))
-        known_C = math.isfinite(warm)
-        return 0, volts, more, current_cA, round(100.0 * warm) if known_C else NO_TEMPERATURE_CDEG
+        temperature_C = float(row.get("temperature_C", math.nan))
+        known_C = math.isfinite(temperature_C)
+        return (
+            0,
+            volts,
+            more,
+            current_cA,
+            round(100.0 * temperature_C) if known_C else NO_TEMPERATURE_CDEG,
+        )

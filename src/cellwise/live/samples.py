@@ -137,8 +137,8 @@ class Readings:
         measured = [v for v in cell_V if math.isfinite(v)]
         if math.isnan(voltage) and measured:
             voltage = sum(measured) / len(measured)
-        warm = self._held("temperature_C", time_s)
-        return Sample(time_s, current, voltage, warm, arrived_s, cell_V)
+        temperature_C = self._held("temperature_C", time_s)
+        return Sample(time_s, current, voltage, temperature_C, arrived_s, cell_V)
 
     def _held(self, field: str | int, time_s: float) -> float:
         value, at_s = self._last.get(field, (math.nan, -math.inf))

@@ -126,8 +126,8 @@ def _log_of(source: LogSource, sign: str, named: str, check_sign: bool) -> CellL
         pack = pack_of(
             source, known, columns, read_channels, sign=sign, name=named, check_sign=check_sign
         )
-        warm = sum(c.kind == "temperature" for c in columns)
-        what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
+        sensors = sum(c.kind == "temperature" for c in columns)
+        what = f"{pack.cells} cells" + (f" and {sensors} temperatures" if sensors > 1 else "")
         said = f"a table of {what}", ", read as their mean cell (`cellwise pack` sees each)"
         noted = Notice(Code.PACK_AS_MEAN_CELL, said)
         return pack.mean.with_notices((*pack.notices, noted))

@@ -175,9 +175,9 @@ class OcvSlope:
     """OCV and its slope over SOC at one temperature, smoothed over what cells may differ by."""
 
     def __init__(self, model: CellModel, log: CellLog) -> None:
-        warm = float(np.median(known_temperature_C(model, log)))
+        temperature_C = float(np.median(known_temperature_C(model, log)))
         self._soc = model.soc
-        self._ocv = model.at_temperature(warm).ocv_V[0]
+        self._ocv = model.at_temperature(temperature_C).ocv_V[0]
 
     def ocv_V(self, soc: FloatArray) -> FloatArray:
         """OCV [V]."""

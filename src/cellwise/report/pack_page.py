@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,27 +69,42 @@ def _first_line(found: PackEstimate) -> str:
     return f"{named} of {len(found.names)} cells: {found.causes[0]['name'].replace('_', ' ')}"
 
 
-def _figures(found: PackEstimate) -> Markup:
+def pack_facts(found: PackEstimate) -> list[tuple[str, str]]:
+    """The whole of a pack and the cells at its ends, for a page and a command."""
     data = found.to_dict()
     soc, weakest, cells = data["soc"], data["weakest"], data["per_cell"]
     soc_std = float(np.median([c["soc_std"] for c in cells]))
     std_of = {c["name"]: c["capacity_std_Ah"] for c in cells}
     std = std_of.get(weakest["by_capacity"])
     band = "" if std is None else f" ± {significant(2.0 * std, 2)}"
-    facts = [
+    return [
         ("SOC, lowest to highest", f"{percent(soc['min'], 1)} to {percent(soc['max'], 1)}"),
         ("how well it is known", f"± {percent(2.0 * soc_std, 1)}"),
-        ("usable as the cells are", f"{significant(data['usable_Ah'])}{band} Ah"),
+        (
+            "usable as the cells are",
+            _with_energy(f"{significant(data['usable_Ah'])}{band} Ah", data),
+        ),
+        ("left until the first cell is empty", f"{significant(data['left_Ah'])} Ah"),
         ("balancing would bring", f"{significant(data['balancing_gain_Ah'], 2)} Ah"),
         ("least SOC", weakest["by_soc"]),
         ("least capacity", weakest["by_capacity"]),
         ("most resistance", weakest["by_resistance"]),
+        ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
     ]
+
+
+def _with_energy(charge: str, data: Mapping[str, Any]) -> str:
+    """A charge and, where it is known, the pack's energy in it."""
+    energy_Wh = data["usable_Wh"]
+    return f"{charge}, {significant(energy_Wh)} Wh" if math.isfinite(energy_Wh) else charge
+
+
+def _figures(found: PackEstimate) -> Markup:
     text = paragraph(
         "The least and most are those of any pack: weak is only who is named as such above. Cells "
         "are compared with each other, which is far surer than the level of all."
     )
-    return Markup(f"{tiles(facts)}\n{text}")
+    return Markup(f"{tiles(pack_facts(found))}\n{text}")
 
 
 # Of one cell among ``per_cell``: how it reads on a page and in a command.

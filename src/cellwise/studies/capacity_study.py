@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.metrics import drawn_sums
+from cellwise.cell.metrics import NEAR_EMPTY, drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.data import list_datasets, load_dataset
@@ -231,7 +231,7 @@ def judge(
         simulated = simulate(model, log, soc0)
         known = np.isfinite(simulated.residual_V)
         errors[VOLTAGE].append(simulated.residual_V[known])
-        above.append(simulated.residual_V[known & (truth > 0.1)])
+        above.append(simulated.residual_V[known & (truth > NEAR_EMPTY)])
         # What the choice's own SOC scale makes of the same counter.
         axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         ends.append(int(np.nanargmin(truth)))

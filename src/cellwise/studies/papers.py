@@ -236,8 +236,8 @@ def _on_relaxation(paper: Identification, hppc: CellLog) -> ErrorMetrics:
     soc = pulses.anchor.soc - hppc.counted_charge_Ah() / paper.model.capacity_Ah
     edges = [(p.stop, p.relax_stop, p.current_A, float(soc[p.stop - 1])) for p in pulses.pulses]
     tables = pulse_tables(relaxation_segments(hppc, edges))
-    warm = [float(paper.model.temperature_C[0])]
-    model = plain_model([tables], paper.ocv, paper.model.capacity_Ah, warm)
+    temperature_C = [float(paper.model.temperature_C[0])]
+    model = plain_model([tables], paper.ocv, paper.model.capacity_Ah, temperature_C)
     return simulate(model, hppc, paper.simulations[0].soc0).metrics
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.validity import FULL_V, cells_in_series
 from cellwise.errors import InputError, MachineError
+from cellwise.identify.measured_capacity import hppc_reaches_empty
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.checks.units import LARGEST_V
@@ -50,10 +51,10 @@ class FoundFile:
     ``kind``: hppc, ocv, capacity, charge, drive, rest; end (of a low-rate test); pack (a voltage
     for each cell), flight; unread (refused, ``why`` says for what), other (no log by its name).
     ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
-    ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
-    that only the name states; ``other_sign`` what the current's sign would have to mean where the
-    voltage contradicts it; ``instance``: which of several logs in the file; ``channels`` the names
-    under which an unread one reads.
+    ``current_A``, or by pulses that end empty; ``highest_V`` of one cell; ``usual_C`` as measured,
+    ``named_C`` a temperature that only the name states; ``other_sign`` what the current's sign
+    would have to mean where the voltage contradicts it; ``instance``: which of several logs in the
+    file; ``channels`` the names under which an unread one reads.
     """
 
     path: Path
@@ -200,6 +201,9 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
     kind: str = "flight" if log.format in FLIGHTS else test.kind
     why = test.why if series == 1 else f"{series} cells in series; {test.why}"
     moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    whole_Ah = test.charge_Ah
+    if kind == "hppc" and hppc_reaches_empty(log):
+        whole_Ah = moved_Ah
     for mean in coded(log.notices, Code.PACK_AS_MEAN_CELL):
         # What a test is called by its load says nothing of a day on the road.
         hours = log.duration_s / 3600.0
@@ -211,7 +215,7 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
         why,
         series,
         moved_Ah,
-        test.charge_Ah,
+        whole_Ah,
         test.current_A,
         largest_A=float(np.nanmax(np.abs(log.current_A))),
         highest_V=float(np.nanmax(log.voltage_V)),

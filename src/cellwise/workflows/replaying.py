@@ -13,7 +13,7 @@ import numpy as np
 from cellwise.arguments import check_kind
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import ends_forecasts, withheld
+from cellwise.cell.plausibility.notice import FAR_DEVIATIONS, ends_forecasts, withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import make_estimator
@@ -38,8 +38,10 @@ from cellwise.logs.files.source import ReadOptions, open_source
 from cellwise.logs.formats.ros_bag import start_of as start_of_bag
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.writing import write_columns
-from cellwise.notices import Notice, texts
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
+from cellwise.wording import Option
+from cellwise.workflows.nearest_stock import StockDistance, nearest_stock
 from cellwise.workflows.served import Served, each_that_serves
 from cellwise.workflows.starts import start_of
 
@@ -120,14 +122,17 @@ class ForecastRequest:
 class ReplayAndForecast:
     """A replay, when it was to converge, and what remains by it.
 
-    ``began`` is the start that the whole log shows, as every other function finds it; ``far`` why
-    nothing is foreseen, None where it is.
+    ``far`` is why nothing is foreseen, None where it is; ``began`` the start that the whole log
+    shows, as every other function finds it; ``nearest`` the stock model that is nearer than the
+    one that the log is far off; ``wrong_start`` that the first voltages contradict a stated start.
     """
 
     replay: Replay
-    expected_s: float | None
-    began: InitialSoc | None
     far: Notice | None
+    expected_s: float | None = None
+    began: InitialSoc | None = None
+    nearest: StockDistance | None = None
+    wrong_start: Notice | None = None
     flight: ForecastTrace | None = None
     at_load: Forecast | None = None
     charge: ForecastTrace | None = None
@@ -139,17 +144,30 @@ class ReplayAndForecast:
     @property
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, of the forecast first."""
+        of_start = () if self.wrong_start is None else (self.wrong_start,)
         of_flight = () if self.flight is None else self.flight.notices
         if self.far is None:
-            return (*of_flight, *self.replay.notices)
-        return tuple(withheld(n) if n == self.far else n for n in self.replay.notices)
+            return (*of_start, *of_flight, *self.replay.notices)
+        far = self._withheld(self.far)
+        return (*of_start, *(far if n == self.far else n for n in self.replay.notices))
+
+    def _withheld(self, far: Notice) -> Notice:
+        """What is far off, what is not said, and which stock model is nearer."""
+        said = withheld(far)
+        if self.nearest is None:
+            return said
+        text = f". Of the stock models {self.nearest.name} is the nearest, scaled with "
+        off = f": typically {1e3 * self.nearest.typical_V:.0f} mV off"
+        capacity = Option("capacity_Ah", float(f"{self.nearest.capacity_Ah:.3g}"))
+        return said.followed_by(text, capacity, off)
 
     @property
     def critical(self) -> tuple[Notice, ...]:
         """Those up to the one for which nothing is foreseen; none where something is."""
         if self.far is None:
             return ()
-        return self.notices[: self.replay.notices.index(self.far) + 1]
+        behind = len(self.notices) - len(self.replay.notices) + 1
+        return self.notices[: self.replay.notices.index(self.far) + behind]
 
     @property
     def cells(self) -> int:
@@ -256,19 +274,35 @@ def replay_and_forecast(
     model, noise = seen_by(model, asked.sensor)
     begun = found.start.how in ("given", "stated")
     far = None if ahead.anyway else ends_forecasts(found.model_mismatch, found.log)
-    run = ReplayAndForecast(
-        found,
-        expected_convergence_s(model, found, make_estimator(asked.estimator, model, noise)),
-        None if begun else initial_soc(model, found.log, whole_log=True),
-        far,
-        hold=ahead.hold,
-        cutoff_V=cutoff_of(model, ahead.cutoff_V),
-    )
-    run = run if far is not None else _with_forecasts(run, model, ahead)
+    run = ReplayAndForecast(found, far, hold=ahead.hold, cutoff_V=cutoff_of(model, ahead.cutoff_V))
+    if far is None:
+        filter_ = make_estimator(asked.estimator, model, noise)
+        run = replace(
+            _with_forecasts(run, model, ahead),
+            expected_s=expected_convergence_s(model, found, filter_),
+            began=None if begun else initial_soc(model, found.log, whole_log=True),
+        )
+    elif far is found.model_mismatch:
+        run = replace(run, nearest=nearest_stock(model, found.log))
+    if begun and far in (None, found.model_mismatch):
+        run = replace(run, wrong_start=_contradicted(model, found))
     how = ahead.shown(model)
     if how is None:
         return run
     return replace(run, displayed_percent=display_along(how, found, run.flight, run.charge))
+
+
+def _contradicted(model: CellModel, found: Replay) -> Notice | None:
+    """That a stated start is many deviations from the one that the first voltages show."""
+    stated, seen = found.start, initial_soc(model, replace(found.log, soc0=None))
+    if abs(seen.soc - stated.soc) <= FAR_DEVIATIONS * math.hypot(seen.std, stated.std):
+        return None
+    text = (
+        f" begins at SOC {seen.soc:.2f} +- {2.0 * seen.std:.2f} by its voltages ({seen.how}), and "
+        f"not at {stated.soc:.2f} as {stated.how}: "
+    )
+    said = (text, Option("soc0", letter="auto"), " takes what they show")
+    return Notice(Code.START_CONTRADICTED, said, log=found.log.name)
 
 
 def _with_forecasts(

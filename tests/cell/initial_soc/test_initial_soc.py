@@ -15,11 +15,12 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell
+from virtual_tester import logged
 
 
 def log_of(model, soc0, current):
     log = CellLog(np.arange(float(current.size)), current, np.full(current.size, 3.7))
-    return replace(log, voltage_V=simulate(model, log, soc0).voltage_V)
+    return logged(model, log, soc0)
 
 
 def rest_then_load(rest_s, load_A=2.0):

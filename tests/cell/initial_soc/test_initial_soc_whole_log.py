@@ -15,6 +15,7 @@ from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell
 from measured_models import AT_ITS_BOUND, identify_once, missed
+from virtual_tester import logged
 
 A123_AH = 2.0725
 CUTS = (0.95, 0.8, 0.6, 0.4)
@@ -57,7 +58,7 @@ def test_what_the_log_cannot_tell_stays_open():
 def test_a_rest_on_a_steep_ocv_is_enough():
     model = curved_cell()
     log = CellLog(np.arange(4000.0), np.r_[np.zeros(3600), np.full(400, 2.0)], np.zeros(4000))
-    log = replace(log, voltage_V=simulate(model, log, 0.4).voltage_V)
+    log = logged(model, log, 0.4)
     assert initial_soc(model, log, whole_log=True) == initial_soc(model, log)
 
 

@@ -14,6 +14,7 @@ from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell
+from virtual_tester import logged
 
 ROUNDING = 1e-6
 PRIOR = 0.5
@@ -58,7 +59,7 @@ def test_a_drive_of_the_model_s_own_cell_and_of_another(model, soc0, rest_s):
     log = CellLog(np.arange(float(current.size)), current, np.full(current.size, 3.7))
     other = replace(model, r0_ohm=1.3 * model.r0_ohm)
     for cell in (model, other):
-        check(model, replace(log, voltage_V=simulate(cell, log, soc0).voltage_V))
+        check(model, logged(cell, log, soc0))
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import pytest
 from cellwise.cell.effects import ChargeTransfer
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
-from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -19,6 +18,7 @@ from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import limits
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
+from virtual_tester import logged
 
 PLAIN = curved_cell()
 # As sure of itself as an identified model is: 1.5 mV.
@@ -46,7 +46,7 @@ def drive(rows, interval_s, largest_C, seed=2):
 
 def measured(cell, log, seed=3):
     noise = 3e-4 * np.random.default_rng(seed).standard_normal(len(log))
-    return replace(log, voltage_V=simulate(cell, log, 0.9).voltage_V + noise)
+    return logged(cell, log, 0.9, noise)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import plain_runs
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -21,6 +20,7 @@ from cellwise.diagnose.odds import RARE
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load
+from virtual_tester import logged
 
 CELL = curved_cell()
 AS_STATED = 1.0  # times the model's error
@@ -33,8 +33,7 @@ def started(rows, seed=3, noise_V=1e-3):
         rng, CELL.capacity_Ah, 0.9, rows=rows, rate_hz=1.0, charge=True, temperature_C=(25.0, 25.0)
     )
     log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7))
-    voltage = simulate(CELL, log, 0.9).voltage_V + rng.normal(0.0, noise_V, load.time_s.size)
-    log = replace(log, voltage_V=voltage)
+    log = logged(CELL, log, 0.9, rng.normal(0.0, noise_V, load.time_s.size))
     return log, initial_soc(CELL, log, 0.9, 0.002)
 
 
@@ -77,7 +76,7 @@ def test_what_a_log_cannot_tell_apart_is_one_group():
     time = np.arange(1200.0)
     current = np.full(1200, 0.2 * CELL.capacity_Ah)
     log = CellLog(time, current, np.full(1200, 3.7))
-    log = replace(log, voltage_V=simulate(CELL, log, 0.6).voltage_V)
+    log = logged(CELL, log, 0.6)
     fits, base = fits_of([(log, initial_soc(CELL, log, 0.6, 0.002))])
     found = limits(
         fits, [CAUSES[n] for n in ("current_offset", "current_gain")], base, AS_STATED, 10.0

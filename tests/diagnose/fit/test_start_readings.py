@@ -18,6 +18,7 @@ from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
+from virtual_tester import logged
 
 SOC0 = 0.82
 MODEL = replace(curved_cell(), error=ModelError.of_white_and_slow(1e-3, (2e-3,), 60.0, 0.01))
@@ -52,7 +53,7 @@ def test_with_a_hysteresis_a_rest_is_read_as_predicted(soc, branch):
     rest = CellLog(np.arange(300.0), np.zeros(300), np.full(300, 3.7))
     coordinates = Coordinates(MODEL)
     cell = extend_model(coordinates, {"m_V": 0.008}, {})
-    evidence = gathered(replace(rest, voltage_V=simulate(cell, rest, soc).voltage_V))
+    evidence = gathered(logged(cell, rest, soc))
     read = start_readings(["m_V"], coordinates, evidence)["soc0:0"]["m_V"]
     assert np.sign(read) == -branch
     assert 0.008 * read == pytest.approx(soc - evidence.logs[0].start.soc, rel=0.15)

@@ -14,6 +14,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+from virtual_tester import logged
 
 OPEN_GATE = 1e9
 
@@ -212,8 +213,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
 def kalman_log(model, rows=300):
     rng = np.random.default_rng(3)
     log = random_log(rng, rows, jitter=0.5)
-    voltage = simulate(model, log, 0.6).voltage_V + 0.01 * rng.standard_normal(rows)
-    return replace(log, voltage_V=voltage)
+    return logged(model, log, 0.6, 0.01 * rng.standard_normal(rows))
 
 
 def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):

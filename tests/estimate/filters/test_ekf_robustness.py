@@ -17,6 +17,7 @@ from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, random_model
+from virtual_tester import logged
 
 CURVED = curved_cell()
 
@@ -300,6 +301,6 @@ def test_a_log_of_any_rate_ends_with_about_the_same_certainty():
         np.full(35991, 3.7),
     )
     noise = Noise(current_A=0.0, soc_per_sqrt_h=0.0)
-    fine = replace(fine, voltage_V=simulate(CURVED, fine, 0.8).voltage_V)
+    fine = logged(CURVED, fine, 0.8)
     a, b = (Ekf(CURVED, noise).run(x, 0.8, 0.1).soc_std[-1] for x in (log, fine))
     assert b == pytest.approx(a, rel=0.03)

@@ -20,12 +20,12 @@ from cellwise.cell.effects import (
     RateDependence,
     SlowDiffusion,
 )
-from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filterpy_filters import FilterpyEkf, FilterpyUkf
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+from virtual_tester import logged
 
 # Every point with the resistances of its own SOC, as filterpy's.
 POINTS = tuple(
@@ -81,9 +81,7 @@ def test_it_agrees_with_filterpy_whatever_the_effects(effects):
     rng = np.random.default_rng(4)
     noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0, lasting_share=0.0, offset_share=0.0)
     log = random_log(rng, 250, temperature_C=(0.0, 40.0))
-    log = replace(
-        log, voltage_V=simulate(model, log, 0.8).voltage_V + 0.003 * rng.standard_normal(250)
-    )
+    log = logged(model, log, 0.8, 0.003 * rng.standard_normal(250))
     pair = partial(Ukf, components=1), FilterpyUkf
     ours, theirs = (f(model, noise, POINTS[0]).run(log, 0.603, 0.15) for f in pair)
     for name in FIGURES:

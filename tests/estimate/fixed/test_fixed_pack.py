@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from cellwise import InputError
-from cellwise.cell.simulate import simulate
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed_pack import FixedPack
@@ -22,6 +21,7 @@ from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack
 from example_cells import curved_cell
 from firmware_cases import power_asked
+from virtual_tester import logged
 
 pytest.importorskip("cffi")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -185,7 +185,7 @@ def test_what_a_history_says_enters_the_state():
     current = np.repeat(rng.uniform(-2.0, 3.0, 300), 30)
     time = np.arange(current.size, dtype=float)
     log = CellLog(time, current, np.full(time.size, 3.7))
-    log = replace(log, voltage_V=simulate(aged, log, 0.95).voltage_V)
+    log = logged(aged, log, 0.95)
     ends = []
     for kind, known in ((model, False), (model, True), (aged, False)):
         fixed = Firmware(kind, dt_s=1.0, health=known, wide=False)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numba import njit
 
-from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
@@ -19,6 +16,7 @@ from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog, resample
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
+from virtual_tester import logged
 
 STEPPER = numba_stepper(tables_of("lean"))
 
@@ -149,7 +147,7 @@ def test_as_good_as_the_float64_ekf(dt_s):
     model = curved_cell(201, capacity_Ah=5.1)
     drive = load_dataset("nmc_drive_b")
     noise = 0.003 * np.random.default_rng(0).normal(size=len(drive))
-    drive = replace(drive, voltage_V=simulate(model, drive, 0.95).voltage_V + noise)
+    drive = logged(model, drive, 0.95, noise)
     log = resample(drive, dt_s)
     reference, ours = Ekf(model), FixedStep(model, dt_s=dt_s)
     for start, std in ((0.95, 0.01), (0.7, 0.15), (0.2, 0.3), (0.5, 0.05)):

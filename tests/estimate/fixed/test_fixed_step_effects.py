@@ -22,7 +22,6 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed import arithmetic
@@ -33,6 +32,7 @@ from cellwise.logs.cell_log import resample
 from cellwise.printing.firmware import print_files
 from example_cells import curved_cell
 from firmware_cases import power_asked
+from virtual_tester import logged
 
 pytest.importorskip("cffi")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -91,7 +91,7 @@ def drive_of(model):
     log = resample(load_dataset("nmc_drive_b"), DT_S).part(0, 7200)
     log = replace(log, temperature_C=np.linspace(5.0, 40.0, len(log)))
     noise = 0.002 * np.random.default_rng(0).normal(size=len(log))
-    return replace(log, voltage_V=simulate(model, log, 0.9).voltage_V + noise)
+    return logged(model, log, 0.9, noise)
 
 
 @pytest.mark.parametrize("name", [*EFFECTS, "temperatures", "efficiency"])

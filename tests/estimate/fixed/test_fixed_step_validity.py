@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
-from cellwise.cell.simulate import simulate
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.tables import fixed_step_tables
@@ -17,6 +16,7 @@ from cellwise.estimate.status import OUTSIDE
 from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
+from virtual_tester import logged
 
 COMPILED = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 VALID = Validity(soc=(0.6, 0.95), temperature_C=(10.0, 30.0), current_A=(-2.0, 4.0))
@@ -30,7 +30,7 @@ def drive(temperature_C) -> CellLog:
     warm = np.broadcast_to(temperature_C, ROWS).astype(np.float64)
     log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7), temperature_C=warm)
     noise = 1e-3 * np.random.default_rng(3).normal(size=ROWS)
-    return replace(log, voltage_V=simulate(MODEL, log, 0.85).voltage_V + noise)
+    return logged(MODEL, log, 0.85, noise)
 
 
 @COMPILED

@@ -29,6 +29,7 @@ from cellwise.report.page.numerals import millivolt
 from cellwise.report.page.section import pictures_of
 from diagnosis_cases import CELL, VALUES, diagnosis, found, measured
 from report_cases import Page
+from virtual_tester import logged
 
 # What a battery engineer must read of each of them, once.
 SAID = {
@@ -226,7 +227,7 @@ def test_the_first_line_says_whether_to_adopt_and_every_loss():
 
     def aged(name, seed):
         log = measured(name, seed, 0.0)
-        return replace(log, voltage_V=simulate(true, log, 0.9).voltage_V)
+        return logged(true, log, 0.9)
 
     fitted = run(aged("drive", 0), "fit", true)
     good, bad = run(aged("one", 1), "holdout", true), run(measured("two", 2, 0.0), "holdout", true)

@@ -1,8 +1,8 @@
-"""A cell richer than any model fitted to it, and a tester that runs whatever test it is told.
+"""A cell richer than any model fitted to it, and a logger that keeps rows in whatever way.
 
 Four RC branches from a second to three quarters of an hour, every one a function of SOC: more than
 the two or three branches of a model, so a fit is judged by what it says, not by what it repeats.
-Branches are summed in closed form (as in ``synthetic``), never by the package's own kernels.
+It goes through the tester of ``synthetic``, never through the package's own kernels.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from synthetic import Array, Table, _branch, drive_current, nmc_cell
+from synthetic import Array, HppcPlan, Table, Tester, drive_current, nmc_cell
 
-FINE_S, COARSE_S, FINE_FOR_S = 0.1, 1.0, 20.0
+FINE_HZ, COARSE_HZ = 10.0, 1.0  # of the true rows, the fine ones just after a switch
+FINE_FIRST = HppcPlan(fast_s=20.0, limit="stop")
 
 
 @dataclass(frozen=True)
@@ -91,51 +92,12 @@ def run(
     temperature_C: float | None = 25.0,
 ) -> Made:
     """Run steps of (current [A], duration [s]) from rest; a step ends early at a voltage limit."""
-    logger = logger or Logger()
-    dt, current, ends = _columns(steps)
-    t, i, soc, v = _run(cell, dt, current, ends, soc0)
-    return _logged(cell, t, i, soc, v, soc0, logger, np.random.default_rng(seed), name,
-                   temperature_C)  # fmt: skip
-
-
-def _columns(steps: Sequence[tuple[float, float]]) -> tuple[Array, Array, list[int]]:
-    dts, currents, ends, total = [], [], [], 0
-    for current, seconds in steps:
-        fine = min(seconds, FINE_FOR_S)
-        dt = np.full(max(round(fine / FINE_S), 1), FINE_S)
-        dt = np.append(dt, np.full(round((seconds - fine) / COARSE_S), COARSE_S))
-        dts.append(dt)
-        currents.append(np.full(dt.size, current))
-        total += dt.size
-        ends.append(total)
-    return np.concatenate(dts), np.concatenate(currents), ends
-
-
-def _run(
-    cell: RichCell, dt: Array, current: Array, ends: list[int], soc0: float
-) -> tuple[Array, Array, Array, Array]:
-    """Time, current, SOC and voltage of every fine row, step by step for the limits' sake."""
-    state = [0.0] * len(cell.branches)
-    out: list[tuple[Array, Array, Array, Array]] = []
-    begin, soc_now = 0, soc0
-    for end in ends:
-        h, i = dt[begin:end], current[begin:end]
-        begin = end
-        used = i * h / (3600.0 * cell.capacity_Ah)
-        soc = soc_now - np.cumsum(used)
-        mid = np.clip(soc + 0.5 * used, 0.0, 1.0)
-        waves = [
-            _branch(v0, i, r(mid), tau(mid), h)
-            for v0, (r, tau) in zip(state, cell.branches, strict=True)
-        ]
-        inside = np.clip(soc, -0.05, 1.05)
-        v = cell.ocv_V(inside) - cell.r0_ohm(mid) * i - np.sum(waves, axis=0)
-        over = (v < cell.lower_V) & (i > 0.0) | (v > cell.upper_V) & (i < 0.0)
-        n = int(np.argmax(over)) + 1 if over.any() else h.size
-        out.append((h[:n], i[:n], soc[:n], v[:n]))
-        soc_now, state = float(soc[n - 1]), [float(w[n - 1]) for w in waves]
-    h, i, soc, v = (np.concatenate(c) for c in zip(*out, strict=True))
-    return np.cumsum(h), i, soc, v
+    logger, rng = logger or Logger(), np.random.default_rng(seed)
+    tester = Tester(cell, soc0, rng)
+    for current_A, seconds in steps:
+        tester.run(current_A, seconds, COARSE_HZ, plan=FINE_FIRST, fast_hz=FINE_HZ)
+    dt, i, soc, v, _ = (np.concatenate(c) for c in zip(*tester.columns, strict=True))
+    return _logged(cell, np.cumsum(dt), i, soc, v, soc0, logger, rng, name, temperature_C)
 
 
 def _logged(

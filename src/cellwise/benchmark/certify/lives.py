@@ -20,9 +20,9 @@ from cellwise.benchmark.certify.virtual_cells import (
     with_sensor,
 )
 from cellwise.benchmark.faults import faulty_log
-from cellwise.benchmark.suite_logs import ROOM_C, JudgedLog
+from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import USUAL_C, CellModel
 from cellwise.cell.protocol import run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.replay import reference_soc
@@ -135,7 +135,7 @@ class Fleet:
             "name": one.log.name,
             "age": None,
             "capacity_Ah": capacity_Ah,
-            "temperature_C": round(ROOM_C if one.temperature_C is None else one.temperature_C, 2),
+            "temperature_C": round(USUAL_C if one.temperature_C is None else one.temperature_C, 2),
             "fault": plain.name,
             "started_at": start,
         }

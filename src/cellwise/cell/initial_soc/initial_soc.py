@@ -124,19 +124,21 @@ def initial_soc(
     rest_s = float(log.time_s[last] - log.time_s[0])
     # One row without current is no rest: a car at a light has come from a load. A rest lasts.
     if measured.size and (rest_s > 0.0 or rest_end == len(log)):
-        warm = float(known_temperature_C(model, log)[last])
+        temperature_C = float(known_temperature_C(model, log)[last])
         seen_V = log.voltage_V[measured]
         use = slice(rest_end, _load_end(log, rest_end))
         load = log.interval_s[use], current[use]
-        rested_V, unfinished, moves = rest_ocv(model, log.time_s[measured], seen_V, warm, load)
-        soc, std = soc_of_ocv(model, rested_V, unfinished, warm)
+        rested_V, unfinished, moves = rest_ocv(
+            model, log.time_s[measured], seen_V, temperature_C, load
+        )
+        soc, std = soc_of_ocv(model, rested_V, unfinished, temperature_C)
         how = f"rest of {rest_s:.0f} s at the start, {seen_V[-1]:.4f} V"
         found = InitialSoc(soc, max(std, 0.005), how)
         if not whole_log:
             return found
 
         def by_rest(soc0: FloatArray) -> FloatArray:
-            return ln_likelihood_of_ocv(model, soc0, rested_V, unfinished, warm)
+            return ln_likelihood_of_ocv(model, soc0, rested_V, unfinished, temperature_C)
 
         return _from_whole_log(model, log, found, UnknownPast(-moves, unfinished), by_rest)
     # The first minute, from its first voltage on.
@@ -342,8 +344,8 @@ def _weighed(model: CellModel, log: CellLog) -> WeighedRows:
     # The first row has no interval, and is all that a log of one moment has.
     weight = np.where(np.isfinite(voltage), weight + REST_RATE, 0.0)
     past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
-    warm = known_temperature_C(model, log)
-    return WeighedRows(log.interval_s, current, warm, voltage, weight / weight.sum(), past)
+    temperature_C = known_temperature_C(model, log)
+    return WeighedRows(log.interval_s, current, temperature_C, voltage, weight / weight.sum(), past)
 
 
 def past_voltage(model: CellModel, log: CellLog) -> UnknownPast:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Entropy, TemperatureDependence
-from cellwise.cell.metrics import band_metrics, error_metrics
+from cellwise.cell.metrics import NEAR_EMPTY, band_metrics, error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
@@ -68,7 +68,6 @@ LEAST_SHARE = 1e-3  # of all rows: fewer are spikes, too
 # Times the model's capacity: no cell holds so much more than another of its kind.
 MOST_CHARGE = 1.15
 LEAST_SOC = 5e-4  # beyond 0 to 1: it shows in three digits
-NEAR_EMPTY = 0.1  # SOC below which the OCV is steep
 LEAST_V = 1e-4  # no voltage is known better
 NO_MODEL_V = 0.2  # off by so much it says no SOC: a cell's goes over 0.5 to 1.5 V
 MOST_REJECTED = 0.1  # share of a filter's voltages
@@ -77,7 +76,7 @@ MOST_REJECTED = 0.1  # share of a filter's voltages
 OTHER: tuple[Piece, ...] = (
     "a log of another cell, number of cells in series (",
     Option("series", letter="N"),
-    "), temperature or age",
+    "), capacity, temperature or age",
 )
 WITHHELD = "emaining time and health would be made of it: withheld ("
 
@@ -109,8 +108,17 @@ def find_mismatch(
     if model is None:
         return None
     times, typical_V = times_stated(model, log, error_V, soc)
-    found = _said("", times, typical_V)
+    found = _said("", times, typical_V, _causes(model, log))
     return None if found is None else replace(found, log=_name(log))
+
+
+def _causes(model: CellModel, log: CellLog) -> tuple[Piece, ...]:
+    """Why a log may be far off: of a stock model that nobody scaled first its capacity."""
+    if not model.is_stock or "scaled_from_Ah" in model.provenance:
+        return OTHER
+    held, moved = f"{model.capacity_Ah:.3g} Ah", float(np.ptp(log.counted_charge_Ah()))
+    text = f"a cell of another capacity than this stock model's {held}, of which the log moves "
+    return f"{text}{moved:.3g} (", Option("capacity_Ah", letter="X"), " scales it), ", *OTHER
 
 
 def _said(
@@ -295,6 +303,8 @@ def along_notices(
     """What a run along a log says of where it leads: outside the model's data, outside 0..1."""
     found = outside_notices(validity, log, soc) + soc_notices(log, soc)
     if model is not None:
+        too_much = any(n.code is Code.TOO_MUCH_CHARGE for n in found)
+        found += [] if too_much else charge_notices(model, log)
         found += assumed_temperature_notices(model, log, model.usual_temperature_C)
     return found
 
@@ -324,6 +334,35 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     text = f" runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC ("
     said = (text, Option("soc0", letter="X"), " states it) and the capacity")
     return [Notice(Code.SOC_OUTSIDE, said, log=name, size_V=RANGE_V * outside)]
+
+
+def charge_notices(model: CellModel, log: CellLog) -> list[Notice]:
+    """More charge than the model's cell holds, which a filter does not follow: it stays in 0..1."""
+    moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    if not moved_Ah > MOST_CHARGE * model.capacity_Ah:
+        return []
+    text = (
+        f" moves {moved_Ah:.4g} Ah, {moved_Ah / model.capacity_Ah:.3g} times the model's capacity: "
+        "another capacity, the unit of the current (mA?), the cells in parallel ("
+    )
+    said = (text, Option("parallel", letter="N"), "), or an offset of the current over days?")
+    return [Notice(Code.TOO_MUCH_CHARGE, said, log=_name(log), size_V=FIRST_V)]
+
+
+def reference_notices(log: CellLog, reference: FloatArray | None) -> list[Notice]:
+    """That a reference leaves 0..1 by more than capacities of one cell differ: it is no SOC."""
+    if reference is None:
+        return []
+    low, high = float(np.nanmin(reference)), float(np.nanmax(reference))
+    if max(-low, high - 1.0) <= MOST_CHARGE - 1.0:
+        return []
+    text = (
+        f": the reference runs from SOC {low:.2f} to {high:.2f}, where no cell is: every error of "
+        "the SOC is its own. Check "
+    )
+    said = (text, Option("reference_capacity_Ah", letter="X"), " and ",
+            Option("reference_soc0", letter="X"))  # fmt: skip
+    return [Notice(Code.SOC_OUTSIDE, said, log=_name(log), size_V=FIRST_V)]
 
 
 def error_notices(

@@ -111,13 +111,13 @@ class Validity:
     def bounds(self) -> Bounds:
         """Where the model is taken to hold, tolerance included."""
         none = (-np.inf, np.inf)
-        soc, warm, current = (getattr(self, name) or none for name in NAMES)
+        soc, temperature_C, current = (getattr(self, name) or none for name in NAMES)
         more_A = 0.0 if self.current_A is None else TOLERANCE_CURRENT * self.largest_A
         return Bounds(
             soc[0] - TOLERANCE_SOC,
             soc[1] + TOLERANCE_SOC,
-            warm[0] - TOLERANCE_K,
-            warm[1] + TOLERANCE_K,
+            temperature_C[0] - TOLERANCE_K,
+            temperature_C[1] + TOLERANCE_K,
             current[0] - more_A,
             current[1] + more_A,
         )

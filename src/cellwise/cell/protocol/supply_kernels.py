@@ -108,13 +108,13 @@ def held(
     The end voltage falls with the current. It is solved by bracketing, then false position
     (Illinois); where even a bound does not get there, the bound is the answer.
     """
-    voltage_V, warm = kept_voltage(supply, high_A), supply.temperature_C
+    voltage_V, temperature_C = kept_voltage(supply, high_A), supply.temperature_C
     if low_A >= 0.0:
         guess_A = high_A
     elif high_A <= 0.0:
         guess_A = low_A
     a = min(max(guess_A, low_A), high_A)
-    after, point = advance(tables, state, a, dt_s, warm)
+    after, point = advance(tables, state, a, dt_s, temperature_C)
     at_a = SuppliedInterval(a, after, voltage_of(point, after, a))
     fa = at_a.voltage_V - voltage_V
     if abs(fa) <= VOLTAGE_TOLERANCE_V or a == (high_A if fa > 0.0 else low_A):
@@ -123,7 +123,7 @@ def held(
     step = fa / point.r0_ohm
     while True:
         b = min(max(a + step, low_A), high_A)
-        at_b = interval(tables, state, b, dt_s, warm)
+        at_b = interval(tables, state, b, dt_s, temperature_C)
         fb = at_b.voltage_V - voltage_V
         if (fb > 0.0) != (fa > 0.0):
             break
@@ -134,7 +134,7 @@ def held(
     side = 0
     for _ in range(2 * BISECTIONS):
         c = (a * fb - b * fa) / (fb - fa)
-        at_c = interval(tables, state, c, dt_s, warm)
+        at_c = interval(tables, state, c, dt_s, temperature_C)
         fc = at_c.voltage_V - voltage_V
         if abs(fc) <= VOLTAGE_TOLERANCE_V or c in (a, b):
             return at_c
@@ -148,7 +148,7 @@ def held(
             if side == -1:
                 fb *= 0.5
             side = -1
-    return interval(tables, state, b, dt_s, warm)
+    return interval(tables, state, b, dt_s, temperature_C)
 
 
 @kernel
@@ -182,7 +182,7 @@ def supply_rows(
     """
     now = held(tables, state, supply, 0.0, low_A[0], high_A[0], 0.0)
     sign = 1.0 if now.current_A > 0.0 else -1.0
-    until_A, warm = sign * supply.until_A, supply.temperature_C
+    until_A, temperature_C = sign * supply.until_A, supply.temperature_C
     if sign * now.current_A < supply.until_A or at_limit(supply, now, until_A, high_A[0]):
         return Progress(state, elapsed_s, 0, AT_LIMIT)
     for k in range(end_s.size):
@@ -191,8 +191,8 @@ def supply_rows(
         early = sign * now.current_A < supply.until_A
         if early:
             limit_V = kept_voltage(supply, high_A[k])
-            dt = time_to_voltage(tables, state, until_A, dt, warm, limit_V)
-            now = interval(tables, state, until_A, dt, warm)
+            dt = time_to_voltage(tables, state, until_A, dt, temperature_C, limit_V)
+            now = interval(tables, state, until_A, dt, temperature_C)
             end_s[k] = elapsed_s + dt
         state, elapsed_s = now.state, end_s[k]
         out[CURRENT, k] = now.current_A

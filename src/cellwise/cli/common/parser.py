@@ -16,6 +16,7 @@ HELP = {"-h", "--help"}
 MODEL = "MODEL"
 # What is there wherever cellwise is installed: a line that names it runs.
 AT_HAND = {MODEL: "nmc-18650", "LOG": "nmc_drive_a", "FOLDER": "."}
+EMBEDDED, SCALED = "nmc_", ("--capacity-ah", "5")  # logs that are at hand, of a cell of 5 Ah
 # What a command needs beside its required arguments, for a line that has no word yet.
 BESIDE = {
     "cellwise identify": ("--hppc", "nmc_hppc", "--ocv", "nmc_ocv_c20", "--nominal-ah", "5"),
@@ -129,6 +130,12 @@ class CommandParser(argparse.ArgumentParser):
         expected = ", and ".join(_described(action) for action in missing)
         line = self._completed(missing, words, given)
         action = f"Add it: {line}" if line else f"See {self.prog} --help"
+        stock = AT_HAND[MODEL] in shlex.split(line) and SCALED[0] not in line
+        if stock and SCALED[0] in self._option_string_actions:
+            expected += (
+                f"; {AT_HAND[MODEL]} is a stock model of a 2.8 Ah cell, which {SCALED[0]} X "
+            )
+            expected += "scales to yours"
         self.refuse(f"no {names}", expected, action)
 
     def _completed(
@@ -152,6 +159,9 @@ class CommandParser(argparse.ArgumentParser):
                 return ""
             (behind if name else before).extend([name, value] if name else [value])
         words = words or list(BESIDE.get(self.prog, ()))
+        if AT_HAND[MODEL] in behind and SCALED[0] in self._option_string_actions:
+            embedded = any(word.startswith(EMBEDDED) for word in (*before, *words))
+            behind += SCALED if embedded and SCALED[0] not in words else ()
         return shlex.join([*self.prog.split(), *before, *words, *behind])
 
 

@@ -134,11 +134,6 @@ def band(value: float, std: float, digits: int = 3) -> str:
     return "-" if value != value else f"{value:.{digits}f} +- {2 * std:.{digits}f}"
 
 
-def amount(value: float, unit: str, digits: int = 2) -> str:
-    """A value with its unit, for a table."""
-    return f"{value:.{digits}f} {unit}" if math.isfinite(value) else "-"
-
-
 def percent(value: float | None, digits: int = 2) -> str:
     """A fraction in per cent, for a table."""
     return "-" if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"

@@ -16,7 +16,7 @@ import numpy as np
 
 from cellwise.cell.effects import RateDependence
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import USUAL_C, CellModel
 from cellwise.cell.point_kernels import (
     ENTROPY,
     OCV,
@@ -52,7 +52,6 @@ STEP_V_PER_K = 1e-7
 STEP_K = 1.0
 STEP = 1e-5  # in the coordinate's unit
 
-REFERENCE_C = 25.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
 R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
@@ -163,7 +162,7 @@ class Coordinates:
     @cached_property
     def electrodes(self) -> Electrodes | None:
         """The half cells that the OCV is made of; None where no published ones come near it."""
-        return electrodes_of(self.model.soc, self.model.at_temperature(REFERENCE_C).ocv_V[0])
+        return electrodes_of(self.model.soc, self.model.at_temperature(USUAL_C).ocv_V[0])
 
     def possible(self, name: str) -> bool:
         """Whether a coordinate means something for this model and these logs."""
@@ -300,7 +299,7 @@ class Coordinates:
             tau1_activation_K=base.tau1_activation_K + at("tau_K"),
             tau2_activation_K=base.tau2_activation_K + at("tau_K"),
             tau3_activation_K=base.tau3_activation_K + at("tau_K"),
-            entropy_K=base.entropy_K or ZERO_CELSIUS_K + REFERENCE_C,
+            entropy_K=base.entropy_K or ZERO_CELSIUS_K + USUAL_C,
             hysteresis_rate=self.gamma * math.exp(at("ln_gamma")),
             activation_K=base.activation_K + at("activation_K"),
             rate_per_A=max(rate_per_A, least_rate_per_A),

@@ -166,7 +166,11 @@ def filter_rows(
     log: LogArrays,
     out: TraceArrays,
 ) -> None:
-    """Every row of a log through one step each, from ``first``; ``bank`` is their memory."""
+    """Every row of a log through one step each; ``bank`` is their memory.
+
+    The log begins at ``first``; ``start`` is where a state begins again that is no longer finite.
+    Each row is :func:`bank_or_alone`, but the state of a filter alone stays in registers.
+    """
     state, free = ekf_start(first, log.current_A[0]), nothing_known(rules)
     open_bank(bank, state)
     spread = is_spread(bank)

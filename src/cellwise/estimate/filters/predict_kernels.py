@@ -1,4 +1,9 @@
-"""Over an interval: charge counted, tables looked up, branches of a new cell, covariance."""
+"""Over an interval: charge counted, tables looked up, branches of a new cell, covariance.
+
+``x.state[i]``, ``point.r[i]``, ``held[i]`` under ``@unrolled`` are single numbers, one for each
+state: :mod:`cellwise.cell.unrolled`. `drifted` is of a current that is lost; what a constant offset
+has moved is a ``Drift`` (:mod:`cellwise.estimate.filters.offset_kernels`).
+"""
 
 from __future__ import annotations
 

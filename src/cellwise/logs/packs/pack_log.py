@@ -240,8 +240,8 @@ def pack_of(
     volts, balancing, flags = checked_cells(volts, balancing, names, pack_V, source.where)
     mean = {field: found[field] for field in FIELDS if field in found}
     mean["voltage_V"] = mean_voltage_V(volts)
-    if warm := [found[c.field] for c in of_kind("temperature")]:
-        mean.setdefault("temperature_C", mean_of_known(np.stack(warm, axis=1)))
+    if measured_C := [found[c.field] for c in of_kind("temperature")]:
+        mean.setdefault("temperature_C", mean_of_known(np.stack(measured_C, axis=1)))
     # A conversion of each cell's column is not news.
     of_cell = {c.name for c in cells}
     notices = [n for n in raw.notices if n.column not in of_cell]

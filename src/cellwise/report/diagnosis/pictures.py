@@ -52,13 +52,13 @@ def residual_section(residual: Mapping[str, Any], name: str) -> Section:
             f" The noise from row to row, which no model can predict, is "
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
-    warm = residual.get("by_temperature_C") or []
+    temperature_C = residual.get("by_temperature_C") or []
     charge = ("charge moved up to", residual["by_charge_Ah"], lambda g: f"{g['to']:.2g}", "Ah")
     panels = (
         ("SOC", residual["by_soc"], lambda g: f"{100 * g['from']:.0f}–{100 * g['to']:.0f}", "%"),
         ("current (c: charge)", residual["by_current_C"], _rate, "C"),
         ("time since a current step", residual["by_edge_s"], _between, "s"),
-        ("temperature", warm, _between, "°C") if len(warm) > 1 else charge,
+        ("temperature", temperature_C, _between, "°C") if len(temperature_C) > 1 else charge,
     )
     pictures = tuple(
         residual_picture(*one)._replace(key=f"anatomy-{k}") for k, one in enumerate(panels, start=1)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellwise.cell.metrics import error_metrics
+from cellwise.cell.metrics import NEAR_EMPTY, error_metrics
 from cellwise.cell.simulate import Simulation
 from cellwise.report.page import style
 from cellwise.report.page.markup import MOST, Markup, clock_of, jump, paragraph, record_table
@@ -22,7 +22,6 @@ from cellwise.report.page.picture import Picture, pictured, safe_key
 from cellwise.report.page.plot import Plot, as_model, simulation_plot, worst_part
 from cellwise.report.page.section import Block, plots_within
 
-LOW_SOC = 0.1
 CAPTION = (
     "Measured voltage (grey), the model's from the current alone, their difference, the current "
     "and the simulated SOC."
@@ -37,12 +36,12 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
         return f"{plural(len(simulations), 'log')} simulated."
     if len(known) == 1:
         name = simulations[0].log.name or "a log"
-        size = f"{millivolt(known[0])} RMSE above {percent(LOW_SOC, 0)} SOC"
+        size = f"{millivolt(known[0])} RMSE above {percent(NEAR_EMPTY, 0)} SOC"
         return f"The voltage of {name} is simulated with {size}."
     mean = float(np.mean(known))
     return (
         f"The voltage of {plural(len(known), 'log')} is simulated with {millivolt(mean)} RMSE "
-        f"above {percent(LOW_SOC, 0)} SOC in the mean, {millivolt(max(known))} at worst."
+        f"above {percent(NEAR_EMPTY, 0)} SOC in the mean, {millivolt(max(known))} at worst."
     )
 
 
@@ -99,7 +98,7 @@ def _worst_minutes(simulations: Sequence[Simulation]) -> Markup:
     """Links to where the model is worst above 10 % SOC."""
     said = []
     for s in simulations:
-        part = worst_part(s.log, s.residual_V, s.soc > LOW_SOC)
+        part = worst_part(s.log, s.residual_V, s.soc > NEAR_EMPTY)
         size = millivolt(error_metrics(s.residual_V[part]).rmse_V)
         length = duration(float(s.log.time_s[part][-1] - s.log.time_s[part][0]))
         where = percent(float(np.mean(s.soc[part])), 0)

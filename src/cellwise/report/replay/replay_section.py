@@ -112,8 +112,8 @@ def replay_plot(replay: Replay, key: str) -> Plot:
         panels.append(_within("innovation [mV]", t, 1e3 * trace.innovation_V, std))
     panels.append(Panel("current [A]", (Line("current", t, log.current_A),)))
     if log.temperature_C is not None:
-        warm = Line("temperature", t, log.temperature_C)
-        panels.append(Panel("temperature [°C]", (warm,)))
+        temperature_C = Line("temperature", t, log.temperature_C)
+        panels.append(Panel("temperature [°C]", (temperature_C,)))
     return Plot(key, _title(replay), label, tuple(panels), "", clock_of(log))
 
 
@@ -197,7 +197,7 @@ def soc_at_start(replay: Replay) -> str:
 
 
 def _soc(soc: float, std: float) -> str:
-    return f"{points(soc)} ± {percent(2.0 * std, 1)}"
+    return f"{points(soc)} ± {percent(min(2.0 * std, 1.0), 1)}"
 
 
 EXPLAINED = (
