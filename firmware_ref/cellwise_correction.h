@@ -101,10 +101,19 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
     return status;
 }
 
+/* What has flowed unseen widens the SOC as far as the voltage shows it; the rest is stated. */
+static void open_to_unseen(cellwise_state *x, const cellwise_innovation *innovation, float innovation_V, float unseen)
+{
+    const float known_V2 = as_shown(innovation->variance_V2, x->mismatch);
+    const float shown = shown_unseen(unseen, innovation_V, known_V2, innovation->slope_V);
+    x->ss = x->ss + shown;
+    x->persistent = root((x->persistent * x->persistent) + (unseen - shown));
+}
+
 /* CW-002. Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *slopes, const cellwise_reading *reading, float voltage, uint32_t beyond,
-                        cellwise_output *out)
+                        float unseen, cellwise_output *out)
 {
     uint32_t status = 0u;
     uint32_t away = x->no_voltage;
@@ -128,6 +137,9 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
                 away = 0u;
             }
             if (status == 0u) {
+                if (unseen > 0.0f) {
+                    open_to_unseen(x, &innovation, innovation_V, unseen);
+                }
                 status = weigh(c, x, p, reading, &innovation, innovation_V, beyond);
             }
         }

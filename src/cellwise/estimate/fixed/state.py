@@ -251,10 +251,11 @@ def taken(c: Constants, x: State, current: float) -> float:
 @unrolled_by_option
 def cross_gap(
     c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
-) -> None:
+) -> float:
     """Samples are missing: the branches may hold what the currents on both sides can have left.
 
-    With CELLWISE_WIDE they relax towards the mean of these currents, too.
+    With CELLWISE_WIDE they relax towards the mean of these currents, too. Returns the variance of
+    what may have flowed unseen, which the next voltage is asked for.
     """
     unknown_A2 = (current * current) + (x.current_A * x.current_A)
     steps = F(missing)
@@ -264,7 +265,15 @@ def cross_gap(
         spread = (moved * moved) * unknown_A2
     elif WIDE:
         spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
-    x.ss = x.ss + spread
+    unseen = 0.0
+    if WIDE and missing > c.gap_steps:
+        unseen = spread
+        if x.ss > WIDE_VARIANCE:
+            unseen = unseen + (x.ss - WIDE_VARIANCE)
+            x.ss = WIDE_VARIANCE
+            forget_correlations(x)
+    else:
+        x.ss = x.ss + spread
     if WIDE:
         gain: dict[Any, float] = {}
         for i in BRANCHES:
@@ -277,6 +286,7 @@ def cross_gap(
         forget_hysteresis(x)
     if HEATING:
         x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
+    return F(unseen)
 
 
 @unrolled_by_option

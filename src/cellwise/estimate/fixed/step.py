@@ -9,6 +9,8 @@ sample. The equations are the same functions (:mod:`cellwise.estimate.equations`
 from __future__ import annotations
 
 from cellwise.estimate.equations.covariance import scaled
+from cellwise.estimate.equations.evidence import as_shown
+from cellwise.estimate.equations.sensors import shown_unseen
 from cellwise.estimate.equations.weighing import (
     Innovation,
     contradicted_after,
@@ -155,6 +157,16 @@ def weigh(
     return status
 
 
+def open_to_unseen(
+    x: State, innovation: Innovation, innovation_V: float, unseen: float
+) -> None:
+    """What has flowed unseen widens the SOC as far as the voltage shows it; the rest is stated."""
+    known_V2 = as_shown(innovation.variance_V2, x.mismatch)
+    shown = shown_unseen(unseen, innovation_V, known_V2, innovation.slope_V)
+    x.ss = x.ss + shown
+    x.persistent = root((x.persistent * x.persistent) + (unseen - shown))
+
+
 def correct(
     c: Constants,
     x: State,
@@ -163,6 +175,7 @@ def correct(
     reading: Reading,
     voltage: float,
     beyond: int,
+    unseen: float,
     out: Output,
 ) -> int:
     """Predicted voltage, innovation, and what follows from it."""
@@ -189,6 +202,8 @@ def correct(
                 if status == U(0):
                     away = U(0)
             if status == U(0):
+                if WIDE and unseen > 0.0:
+                    open_to_unseen(x, innovation, innovation_V, unseen)
                 status = weigh(c, x, p, reading, innovation, innovation_V, beyond)
     if WIDE:
         if reading.news != REPEATED:
@@ -244,8 +259,13 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     if x.evidence == NOT_BEGUN:
         guess_branches(c, x, p, reading.delayed_current_A)
         x.evidence = NO_VOLTAGE_YET
+    unseen = 0.0
     if charge.missing != U(0):
-        cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
+        unseen = cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
+        has = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
+        if not has or x.in_bank == COMPONENT:
+            x.ss = x.ss + unseen
+            unseen = 0.0
     slopes = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE:
         slopes = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
@@ -256,7 +276,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         if OFFSET:
             count_offset(c, x, p, reading, charge.missing)
     beyond = outside(c, x, reading) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, out))
+    status = U(charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, unseen, out))
     status = U(status | finish(x, reading, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status
