@@ -196,8 +196,8 @@ static float taken(const cellwise_constants *c, const cellwise_state *x, float c
 }
 
 /* Samples are missing: the branches may hold what the currents on both sides can have left. With CELLWISE_WIDE they
- * relax towards the mean of these currents, too. Returns the variance of what may have flowed unseen, which the next
- * voltage is asked for. */
+ * relax towards the mean of these currents, too. Returns the variance of SOC that the voltage is asked for: of what
+ * has flowed unseen, and beyond the tangent's reach. */
 static float cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, uint32_t missing,
                        float current, float bridge)
 {
@@ -211,15 +211,19 @@ static float cross_gap(const cellwise_constants *c, cellwise_state *x, const cel
         spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
     }
     float unseen = 0.0f;
-    if (missing > c->gap_steps) {
+    bool asks = (missing > c->gap_steps) && (x->evidence >= FIRST_VOLTAGE);
+    if (x->in_bank == COMPONENT) {
+        asks = false;
+    }
+    if (!asks) {
+        x->ss = x->ss + spread;
+    } else {
         unseen = spread;
         if (x->ss > WIDE_VARIANCE) {
             unseen = unseen + (x->ss - WIDE_VARIANCE);
             x->ss = WIDE_VARIANCE;
             forget_correlations(x);
         }
-    } else {
-        x->ss = x->ss + spread;
     }
     const float gain1 = risen(steps * p->gain1);
     const float gain2 = risen(steps * p->gain2);

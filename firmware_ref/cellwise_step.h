@@ -52,11 +52,6 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     float unseen = 0.0f;
     if (charge.missing != 0u) {
         unseen = cross_gap(c, x, &p, charge.missing, reading.current, charge.bridge);
-        const bool has = POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V);
-        if (!has || (x->in_bank == COMPONENT)) {
-            x->ss = x->ss + unseen;
-            unseen = 0.0f;
-        }
     }
     cellwise_slopes slopes;
     no_slopes(&p, &slopes);

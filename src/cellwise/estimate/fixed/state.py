@@ -255,7 +255,7 @@ def cross_gap(
     """Samples are missing: the branches may hold what the currents on both sides can have left.
 
     With CELLWISE_WIDE they relax towards the mean of these currents, too. Returns the variance of
-    what may have flowed unseen, which the next voltage is asked for.
+    SOC that the voltage is asked for: of what has flowed unseen, and beyond the tangent's reach.
     """
     unknown_A2 = (current * current) + (x.current_A * x.current_A)
     steps = F(missing)
@@ -266,14 +266,17 @@ def cross_gap(
     elif WIDE:
         spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
     unseen = 0.0
-    if WIDE and missing > c.gap_steps:
+    asks = WIDE and missing > c.gap_steps and x.evidence >= FIRST_VOLTAGE
+    if BANK and x.in_bank == COMPONENT:
+        asks = False
+    if not asks:
+        x.ss = x.ss + spread
+    else:
         unseen = spread
         if x.ss > WIDE_VARIANCE:
             unseen = unseen + (x.ss - WIDE_VARIANCE)
             x.ss = WIDE_VARIANCE
             forget_correlations(x)
-    else:
-        x.ss = x.ss + spread
     if WIDE:
         gain: dict[Any, float] = {}
         for i in BRANCHES:

@@ -157,12 +157,8 @@ def weigh(
     return status
 
 
-def open_to_unseen(
-    x: State, innovation: Innovation, innovation_V: float, unseen: float
-) -> None:
-    """What has flowed unseen widens the SOC as far as the voltage shows it; the rest is stated."""
-    known_V2 = as_shown(innovation.variance_V2, x.mismatch)
-    shown = shown_unseen(unseen, innovation_V, known_V2, innovation.slope_V)
+def open_up_to(x: State, unseen: float, shown: float) -> None:
+    """The variance that a voltage has shown is the SOC's; the rest of it is stated beside P."""
     x.ss = x.ss + shown
     x.persistent = root((x.persistent * x.persistent) + (unseen - shown))
 
@@ -178,12 +174,17 @@ def correct(
     unseen: float,
     out: Output,
 ) -> int:
-    """Predicted voltage, innovation, and what follows from it."""
+    """Predicted voltage, innovation, and what follows from it.
+
+    Of the variance of what has flowed ``unseen`` the SOC gets what the voltage shows, or all of it
+    where there is none; this one is weighed without it, so the next ones say how far it moves.
+    """
     status = U(0)
     if WIDE:
         away = x.no_voltage
         if reading.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
+    shown = unseen
     innovation = innovate(c, x, p, slopes, reading)
     out.voltage_V = innovation.voltage_V
     out.innovation_variance_V2 = innovation.variance_V2
@@ -203,9 +204,12 @@ def correct(
                     away = U(0)
             if status == U(0):
                 if WIDE and unseen > 0.0:
-                    open_to_unseen(x, innovation, innovation_V, unseen)
+                    known_V2 = as_shown(innovation.variance_V2, x.mismatch)
+                    shown = shown_unseen(unseen, innovation_V, known_V2, innovation.slope_V)
                 status = weigh(c, x, p, reading, innovation, innovation_V, beyond)
     if WIDE:
+        if unseen > 0.0:
+            open_up_to(x, unseen, shown)
         if reading.news != REPEATED:
             x.no_voltage = away
         if away > c.hold_steps:
@@ -262,10 +266,6 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     unseen = 0.0
     if charge.missing != U(0):
         unseen = cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
-        has = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
-        if not has or x.in_bank == COMPONENT:
-            x.ss = x.ss + unseen
-            unseen = 0.0
     slopes = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE:
         slopes = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
@@ -276,7 +276,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         if OFFSET:
             count_offset(c, x, p, reading, charge.missing)
     beyond = outside(c, x, reading) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, unseen, out))
+    status = U(
+        charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, unseen, out)
+    )
     status = U(status | finish(x, reading, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status
