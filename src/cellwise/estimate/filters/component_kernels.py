@@ -24,7 +24,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     moved,
 )
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
-from cellwise.estimate.filters.predict_kernels import unseen_in_gap
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import innovate, predict, report
 from cellwise.estimate.filters.update_kernels import Predicted, update, without_voltage
@@ -170,7 +169,6 @@ def use_in_bank(
 def step(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     """A component over an interval: its status; ``out`` is what it has predicted."""
     noise = m.noise
-    a.ss += unseen_in_gap(m.tables, noise, reading)
     old: EkfState = record_at(EkfState, a, 0, 1)
     predicted = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, reading)
     innovation = innovate(m.constant, m.tables, noise, m.sigma, reading, predicted)

@@ -39,13 +39,6 @@ def no_branches() -> Branches:
 
 @inline
 @unrolled
-def variances_of(p: Covariance) -> Branches:
-    """Of the branches."""
-    return Branches(*(p[i, i] for i in BRANCHES))
-
-
-@inline
-@unrolled
 def uncorrelated(ss: float, v: Branches, hh: float) -> Covariance:
     """States of these variances that know nothing of each other."""
     return Covariance(

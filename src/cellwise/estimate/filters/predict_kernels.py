@@ -166,11 +166,13 @@ def gap_variance(gap_soc: float, charge_As: float, gap_A2: float, dt_s: float) -
 
 
 @inline
-def unseen_in_gap(tables: CellTables, noise: NoiseScalars, reading: CheckedReading) -> float:
-    """SOC's variance of what nobody knows to have flowed: in a gap."""
-    if not reading.gap:
-        return 0.0
-    return gap_variance(noise.gap_soc, tables.cell.charge_As, reading.gap_A2, reading.dt_s)
+def variance_after_gap(
+    tables: CellTables, noise: NoiseScalars, reading: CheckedReading, ss: float
+) -> float:
+    """SOC's variance after a gap: nobody knows what flowed in it."""
+    if reading.gap:
+        ss += gap_variance(noise.gap_soc, tables.cell.charge_As, reading.gap_A2, reading.dt_s)
+    return ss
 
 
 @inline
@@ -195,7 +197,7 @@ def by_tangents(
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     end, point = interval.end, interval.point
     t: ByState = interval.t
-    ss = drifted(tables, reading, p.ss)
+    ss = drifted(tables, reading, variance_after_gap(tables, noise, reading, p.ss))
     p = changed(decayed(p, t), "ss", ss)
     slopes = slopes_at(
         tables,

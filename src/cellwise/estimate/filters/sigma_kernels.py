@@ -33,6 +33,7 @@ from cellwise.estimate.filters.covariance_kernels import (
 from cellwise.estimate.filters.predict_kernels import (
     PredictedInterval,
     drifted,
+    variance_after_gap,
     with_noise,
 )
 from cellwise.estimate.noise import NoiseScalars
@@ -95,7 +96,7 @@ def by_points(
     t, c = interval.t, sigma.distance
     old: ByState = interval.old
     point: ByState = interval.point
-    ss = p.ss
+    ss = variance_after_gap(tables, noise, reading, p.ss)
     root, along = along_soc(p, ss)
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
     # every point has the centre's.

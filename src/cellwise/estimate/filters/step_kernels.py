@@ -44,11 +44,8 @@ from cellwise.cell.equations import (
     with_heat,
     with_soc,
 )
-from cellwise.cell.packed import changed
-from cellwise.estimate.equations.constants import WIDE_VARIANCE
 from cellwise.estimate.equations.covariance import column_of, explained
-from cellwise.estimate.equations.evidence import as_shown, bent_variance
-from cellwise.estimate.equations.sensors import shown_unseen
+from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.equations.weighing import Innovation
 from cellwise.estimate.evidence_kernels import (
     GateResult,
@@ -68,20 +65,14 @@ from cellwise.estimate.filters.capacity_kernels import (
     nothing_known,
     watched_resistances,
 )
-from cellwise.estimate.filters.covariance_kernels import uncorrelated, variances_of
+from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.offset_kernels import (
     counted_on,
     drift_variance,
     dropped_by_offset,
 )
-from cellwise.estimate.filters.predict_kernels import (
-    SOC_HIGH,
-    SOC_LOW,
-    by_tangents,
-    over_interval,
-    unseen_in_gap,
-)
+from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, by_tangents, over_interval
 from cellwise.estimate.filters.sigma_kernels import (
     PredictedVoltage,
     SigmaScalars,
@@ -194,39 +185,6 @@ def innovate(
 
 
 @inline
-def asked_of_voltage(state: EkfState, unseen: float) -> tuple[EkfState, float]:
-    """What is left of the SOC's variance after a gap, and what the voltage is asked for.
-
-    Before its first voltage nothing is kept that could be lost: all of it is the SOC's.
-    """
-    p = state.p
-    if state.watch.evidence_s < 0.0:
-        return changed(state, "p", changed(p, "ss", p.ss + unseen)), 0.0
-    if p.ss > WIDE_VARIANCE:
-        unseen += p.ss - WIDE_VARIANCE
-        state = changed(state, "p", uncorrelated(WIDE_VARIANCE, variances_of(p), p.phh))
-    return state, unseen
-
-
-@inline
-def opened_by_voltage(
-    estimate: Estimate,
-    unseen: float,
-    mismatch: float,
-    innovation: Innovation,
-    gate_result: GateResult,
-) -> Estimate:
-    """The variance that a voltage has shown is the SOC's; the rest of it is stated beside P."""
-    shown = unseen
-    if gate_result.used:
-        known_V2 = as_shown(innovation.variance_V2, mismatch)
-        shown = shown_unseen(unseen, gate_result.innovation_V, known_V2, innovation.slope_V)
-    p = changed(estimate.p, "ss", estimate.p.ss + shown)
-    persistent = math.sqrt(estimate.persistent**2 + (unseen - shown))
-    return changed(changed(estimate, "p", p), "persistent", persistent)
-
-
-@inline
 def report(
     innovation: Innovation, gate_result: GateResult, estimate: Estimate, status: int
 ) -> tuple[EkfState, EkfInfo]:
@@ -267,9 +225,6 @@ def filter_step(
     """Over the interval that ends now, then the voltage read now."""
     reading = read_sample(tables, noise, state.watch, start.temperature_C, sample)
     c = step_constants(tables.cell, noise, sample.dt_s)
-    unseen = unseen_in_gap(tables, noise, reading)
-    if unseen > 0.0:
-        state, unseen = asked_of_voltage(state, unseen)
     predicted = predict(c, tables, noise, sigma, rules, start, state, free, reading)
     innovation = innovate(c, tables, noise, sigma, reading, predicted)
     gate_result = gate(
@@ -280,8 +235,6 @@ def filter_step(
         if gate_result.accepted
         else without_voltage(predicted)
     )
-    if unseen > 0.0:
-        estimate = opened_by_voltage(estimate, unseen, state.mismatch, innovation, gate_result)
     after, info = report(
         innovation, gate_result, estimate, reading.status | predicted.status | gate_result.status
     )
