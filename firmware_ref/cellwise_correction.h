@@ -90,16 +90,26 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
     return status;
 }
 
-/* CW-002. Predicted voltage, innovation, and what follows from it. */
+/* The variance that a voltage has shown is the SOC's; the rest of it is stated beside P. */
+static void open_up_to(cellwise_state *x, float unseen, float shown)
+{
+    x->ss = x->ss + shown;
+    x->persistent = root((x->persistent * x->persistent) + (unseen - shown));
+}
+
+/* CW-002. Predicted voltage, innovation, and what follows from it. Of the variance of what has flowed `unseen` the
+ * SOC gets what the voltage shows, or all of it where there is none; this one is weighed without it, so the next
+ * ones say how far it moves. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *slopes, const cellwise_reading *reading, float voltage, uint32_t beyond,
-                        cellwise_output *out)
+                        float unseen, cellwise_output *out)
 {
     uint32_t status = 0u;
     uint32_t away = x->no_voltage;
     if ((reading->news == INTERVAL) && (away < COUNT_MOST)) {
         away = away + 1u;
     }
+    float shown = unseen;
     cellwise_innovation innovation;
     innovate(c, x, p, slopes, reading, &innovation);
     out->voltage_V = innovation.voltage_V;
@@ -117,9 +127,16 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
                 away = 0u;
             }
             if (status == 0u) {
+                if (unseen > 0.0f) {
+                    const float known_V2 = as_shown(innovation.variance_V2, x->mismatch);
+                    shown = shown_unseen(unseen, innovation_V, known_V2, innovation.slope_V);
+                }
                 status = weigh(c, x, p, reading, &innovation, innovation_V, beyond);
             }
         }
+    }
+    if (unseen > 0.0f) {
+        open_up_to(x, unseen, shown);
     }
     if (reading->news != REPEATED) {
         x->no_voltage = away;

@@ -49,8 +49,9 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         guess_branches(c, x, &p, reading.delayed_current_A);
         x->evidence = NO_VOLTAGE_YET;
     }
+    float unseen = 0.0f;
     if (charge.missing != 0u) {
-        cross_gap(c, x, &p, charge.missing, reading.current, charge.bridge);
+        unseen = cross_gap(c, x, &p, charge.missing, reading.current, charge.bridge);
     }
     cellwise_slopes slopes;
     no_slopes(&p, &slopes);
@@ -63,7 +64,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         count_offset(c, x, &p, &reading, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &reading);
-    status = charge.status | correct(c, x, &p, &slopes, &reading, sample->voltage_V, beyond, out);
+    status = charge.status | correct(c, x, &p, &slopes, &reading, sample->voltage_V, beyond, unseen, out);
     status = status | finish(x, &reading, charge.missing, sample->sequence, out);
     status = status | beyond;
     out->status = status;

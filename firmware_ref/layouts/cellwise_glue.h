@@ -4,6 +4,7 @@
  *     (void)cellwise_glue_begin(&glue, now_ms, DT_MS);
  *     if (cellwise_glue_sample(&glue, now_ms, current_A, voltage_V, temperature_C)) {  as often as you like
  *         glue.soc, glue.soc_std, glue.status, cellwise_glue_is_valid(&glue)
+ *     every ten minutes, and where cellwise_glue_has_moved(&glue):
  *     which = cellwise_glue_keep(&glue);   write glue.slots[which], then nothing but that
  */
 #ifndef CELLWISE_GLUE_H
@@ -24,6 +25,7 @@ extern "C" {
 #define CELLWISE_GLUE_COMPONENTS (@COMPONENTS@u)
 #define CELLWISE_GLUE_START_SOC (0.5f) /* nobody says where it begins */
 #define CELLWISE_GLUE_START_VARIANCE (0.09f)
+#define CELLWISE_GLUE_MOVED_SOC (0.01f) /* what a loss of power costs at most */
 /* Readings without which a SOC is no estimate any more. */
 #define CELLWISE_GLUE_BLIND (CELLWISE_STATE_RESET | CELLWISE_CURRENT_LOST | CELLWISE_VOLTAGE_LOST)
 
@@ -42,6 +44,7 @@ typedef struct {
     uint32_t status; /* bits of the last step */
     float soc;
     float soc_std;
+    float kept_soc; /* of the last write */
     bool is_begun; /* a step has been made */
 } cellwise_glue;
 
@@ -71,6 +74,7 @@ static inline uint32_t cellwise_glue_begin(cellwise_glue *g, uint32_t now_ms, ui
 #endif
     g->soc = g->state[0].soc;
     g->soc_std = sqrtf(g->state[0].ss);
+    g->kept_soc = g->soc;
     g->charge_As = 0.0f;
     g->since_ms = 0u;
     g->called_ms = now_ms;
@@ -123,11 +127,18 @@ static inline bool cellwise_glue_is_valid(const cellwise_glue *g)
     return (g->faults == 0u) && g->is_begun && ((g->status & CELLWISE_GLUE_BLIND) == 0u);
 }
 
+/* Whether the SOC is a point from what was written last: counted, or learnt. */
+static inline bool cellwise_glue_has_moved(const cellwise_glue *g)
+{
+    return !(fabsf(g->soc - g->kept_soc) < CELLWISE_GLUE_MOVED_SOC);
+}
+
 /* Fill the slot that is not the newest; which one is to be written. A loss of power leaves the other as it is. */
 static inline uint32_t cellwise_glue_keep(cellwise_glue *g)
 {
     const uint32_t newest = cellwise_newest_slot(&g->slots[0], &g->slots[1]);
     cellwise_keep(&g->slots[1u - newest], &g->state[0], &g->slots[newest]);
+    g->kept_soc = g->soc;
     return 1u - newest;
 }
 

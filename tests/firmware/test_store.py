@@ -389,15 +389,17 @@ def test_a_bank_goes_on_or_begins_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("std", "gap_soc", "begins_again"), [(0.01, 0.01, 0), (0.01, 0.05, 1), (0.15, 0.01, 1)]
+    ("std", "gap_soc", "moved_V", "begins_again"),
+    [(0.01, 0.05, 0.0, 0), (0.01, 0.01, 0.2, 0), (0.01, 0.05, 0.2, 1), (0.15, 0.01, 0.2, 1)],
 )
-def test_a_restored_bank_goes_on_as_one_that_saw_the_gap(std, gap_soc, begins_again):
+def test_a_restored_bank_goes_on_as_one_that_saw_the_gap(std, gap_soc, moved_V, begins_again):
     """CW-014: to the bit, whether the SOC is known well enough for one filter or not."""
     model = curved_cell()
     noise = replace(noise_for(model, None), gap_soc=gap_soc)
     library = HostLibrary(fixed_step_tables(model, 1.0, noise))
     records = noisy_samples(900)
     before, rest = records[:500], records[500:].copy()
+    rest["voltage_V"] += moved_V
     ran_on = library.start_filter(5, 0.4, 0.01)
     library.filter_rows(ran_on, before)
     assert not ran_on.bank["spread"][0]

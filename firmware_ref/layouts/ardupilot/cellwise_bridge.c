@@ -83,7 +83,7 @@ int main(int count, char **argument)
                          cellwise_glue_is_valid(&glue) ? 1 : 0, (double)value[0], (double)value[1]);
             (void)fflush(stdout);
         }
-        if ((now_ms - kept_ms) >= KEEP_MS) {
+        if (((now_ms - kept_ms) >= KEEP_MS) || cellwise_glue_has_moved(&glue)) {
             write_slot(folder);
             kept_ms = now_ms;
         }

@@ -107,7 +107,7 @@ extern void SE_CalculateStateOfCharge(DATA_BLOCK_SOC_s *pSocValues) {
             (cells.validMeasuredCellTemperatures[s] != 0u) ? (cells.averageTemperature_ddegC[s] / 10.0f) : NAN;
         if (cellwise_glue_sample(&soc_string[s], now_ms, current_mA / 1000.0f, voltage_V, temperature_C)) {
             SOC_Show(pSocValues, s);
-            if ((now_ms - soc_kept_ms[s]) >= SOC_KEEP_MS) {
+            if (((now_ms - soc_kept_ms[s]) >= SOC_KEEP_MS) || cellwise_glue_has_moved(&soc_string[s])) {
                 SE_KeepStateOfCharge(s);
             }
         }

@@ -111,7 +111,7 @@ void CellwiseBattery::publish(const battery_status_s &seen)
 
 void CellwiseBattery::keep(uint32_t now_ms)
 {
-	if (now_ms - _kept_ms >= KEEP_MS) {
+	if (now_ms - _kept_ms >= KEEP_MS || cellwise_glue_has_moved(&_glue)) {
 		const uint32_t which = cellwise_glue_keep(&_glue);
 		FILE *file = fopen(KEPT[which], "wb");
 

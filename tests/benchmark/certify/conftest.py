@@ -30,14 +30,14 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def of_capacity_std(tmp_path):
-    """Exports of one model, a cell's own, whose capacity is known to a share of it."""
+    """Exports of a model, a cell's own, whose capacity is known to a share of it."""
 
-    def export(std):
+    def export(std, name="nmc-18650"):
         nothing = np.zeros((1, POINTS))
         fitted = Posterior((CAPACITY,), np.eye(1), np.array([std]), nothing, nothing)
         error = ModelError.of_white_and_slow(0.002, 0.005)
         path = tmp_path / f"model_{std:g}.json"
-        write_model(replace(stock_model("nmc-18650"), error=error, posterior=fitted), path)
+        write_model(replace(stock_model(name), error=error, posterior=fitted), path)
         return exported(path, tmp_path / f"firmware_{std:g}")
 
     return export

@@ -172,7 +172,7 @@ static void measure(struct k_work *work)
     (void)work;
     (void)k_work_schedule(&measuring, K_MSEC(POLL_MS));
     (void)cellwise_fuel_gauge_sample(DEVICE_DT_INST_GET(0), current_A, voltage_V, temperature_C);
-    if (KEEP_MS > 0u && k_uptime_get_32() - kept_ms >= KEEP_MS) {
+    if (KEEP_MS > 0u && (k_uptime_get_32() - kept_ms >= KEEP_MS || cellwise_glue_has_moved(&gauge.glue))) {
         kept_ms = k_uptime_get_32();
         (void)cellwise_fuel_gauge_keep(DEVICE_DT_INST_GET(0));
     }

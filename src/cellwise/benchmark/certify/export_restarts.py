@@ -14,12 +14,16 @@ from cellwise.benchmark.certify.gauge import RESTART, TORN, UPDATED
 from cellwise.estimate.fixed.layout import OUTPUT
 from cellwise.estimate.fixed.stepper import FilterMemory
 from cellwise.export.firmware import HostLibrary, LoadedLibrary
+from cellwise.typing import BoolArray
 
 Bytes = NDArray[np.uint8]
 
 # The head of cellwise_stored in words; behind it the state and one word more.
 HEAD_WORDS, MODEL_CRC = 8, 3
 AGE_UNKNOWN = 0xFFFFFFFF  # a board without a clock that runs on
+# As the glue of every layout does: beside regular writes one where the SOC has moved by a point
+# since the last. It is looked at as often.
+MOVED_SOC, LOOK_S = 0.01, 60.0
 INVERTED = 0xFFFFFFFF
 
 
@@ -29,7 +33,7 @@ def run_restarted(
     event: NDArray[Any],
     start: tuple[float, float],
     aged_Ah: float,
-) -> NDArray[Any]:
+) -> tuple[NDArray[Any], BoolArray]:
     """Step the C through samples and losses of power.
 
     Parameters
@@ -41,9 +45,11 @@ def run_restarted(
 
     Returns
     -------
-    (n,) of layout.OUTPUT
+    (n,) of layout.OUTPUT, (n,) bool       what it says, and before which samples it has written
     """
     records, outputs = records.copy(), np.zeros(records.size, dtype=OUTPUT)
+    written = np.zeros(records.size, dtype=np.bool_)
+    look = max(round(LOOK_S / exported.dt_s), 1)
     stepper, memory = exported.stepper, exported.started(*start)
     size = 4 * (HEAD_WORDS + 1) + memory.states.itemsize
     slots = [np.zeros(size, np.uint8) for _ in range(2)]
@@ -51,6 +57,7 @@ def run_restarted(
         kind = event[first] if last > first else 0
         if kind and kind != RESTART:
             _write(stepper.loaded, slots, memory, kind == TORN)
+            written[first] = kind != TORN
         if kind == UPDATED:
             stepper = exported.of_capacity(aged_Ah)
             slots = [_of_other_tables(slot) for slot in slots]
@@ -58,8 +65,14 @@ def run_restarted(
             memory = exported.started(*start)  # as nobody knows better, unless a slot does
             _restore(stepper, slots, memory)
             records["sequence"][first:] -= records["sequence"][first]
-        outputs[first:last] = stepper.filter_rows(memory, records[first:last])
-    return outputs
+        kept_soc = memory.states["soc"][0]
+        for row in range(first, last, look):
+            if abs(memory.states["soc"][0] - kept_soc) >= MOVED_SOC:
+                _write(stepper.loaded, slots, memory, torn=False)
+                written[row], kept_soc = True, memory.states["soc"][0]
+            rows = slice(row, min(row + look, last))
+            outputs[rows] = stepper.filter_rows(memory, records[rows])
+    return outputs, written
 
 
 def _write(library: LoadedLibrary, slots: list[Bytes], memory: FilterMemory, torn: bool) -> None:

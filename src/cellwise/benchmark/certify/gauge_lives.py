@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.benchmark.certify.gauge import RESTART, SAMPLE, Gauge, GaugeConfig, config_of
+from cellwise.benchmark.certify.gauge import (
+    RESTART,
+    SAMPLE,
+    SAVE,
+    UPDATED,
+    Gauge,
+    GaugeConfig,
+    config_of,
+)
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.benchmark.certify.restarts import REST_C, power_events, restart_loss
 from cellwise.estimate.fixed.fixed_step import Samples, samples_of
@@ -54,7 +62,8 @@ def live(
     config = config or config_of(gauge.model, life.about["started_at"])
     found = gauge.run(config, samples, config_of(life.truth, config.soc0))
     last = np.maximum(np.cumsum(handed) - 1, 0)[row_sample]  # a lost sample: the answer before it
-    lost = restart_loss(samples["event"], found.soc - truth[handed], truth[handed])
+    written = np.isin(samples["event"], (SAVE, UPDATED))
+    lost = restart_loss(samples["event"], written, found.soc - truth[handed], truth[handed])
     return Lived(found.soc[last], found.std[last], on[row_sample], lost, found.problem)
 
 

@@ -43,12 +43,17 @@ def power_events(
     return event, on
 
 
-def restart_loss(event: NDArray[Any], error: FloatArray, truth: FloatArray) -> float:
-    """Largest growth of the error over a restart, beyond what flowed since the last write."""
+def restart_loss(
+    event: NDArray[Any], written: BoolArray, error: FloatArray, truth: FloatArray
+) -> float:
+    """Largest growth of the error over a restart, beyond what flowed since the last write.
+
+    ``written`` says before which samples a record came down whole.
+    """
     flowed = np.cumsum(np.abs(np.diff(truth, prepend=truth[0])))
-    saved = np.maximum.accumulate(np.where(event > 0, np.arange(event.size), 0))
+    rows = np.arange(event.size)
+    last = np.maximum.accumulate(np.where(written, rows, 0))
     at = np.flatnonzero(event[1:] >= RESTART) + 1
-    written = np.where(event[at] == UPDATED, at, saved[at - 1])  # an update writes first
-    since = flowed[at] - flowed[np.maximum(written - 1, 0)]
+    since = flowed[at] - flowed[np.maximum(last[at] - 1, 0)]
     grown = np.abs(error[at]) - np.abs(error[at - 1]) - since
     return float(np.max(np.where(np.isfinite(grown), grown, 1.0), initial=0.0))

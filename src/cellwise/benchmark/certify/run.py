@@ -209,8 +209,8 @@ def lived(exported: Exported, life: CertifiedLife, seed: int) -> Lived:
     std = np.sqrt(outputs["soc_variance"].astype(np.float64))
     event, on, truth = life_events(life, samples, exported.dt_s, seed)
     handed = samples.records[on]
-    again = run_restarted(exported, handed, event[on], start, life.truth.capacity_Ah)
-    lost = restart_loss(event[on], again["soc"] - truth[on], truth[on])
+    again, written = run_restarted(exported, handed, event[on], start, life.truth.capacity_Ah)
+    lost = restart_loss(event[on], written, again["soc"] - truth[on], truth[on])
     return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), lost, "")
 
 

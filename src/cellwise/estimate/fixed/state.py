@@ -238,10 +238,11 @@ def taken(c: Constants, x: State, current: float) -> float:
 @unrolled_by_option
 def cross_gap(
     c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
-) -> None:
+) -> float:
     """Samples are missing: the branches may hold what the currents on both sides can have left.
 
-    With CELLWISE_WIDE they relax towards the mean of these currents, too.
+    With CELLWISE_WIDE they relax towards the mean of these currents, too. Returns the variance of
+    SOC that the voltage is asked for: of what has flowed unseen, and beyond the tangent's reach.
     """
     unknown_A2 = (current * current) + (x.current_A * x.current_A)
     steps = F(missing)
@@ -251,7 +252,18 @@ def cross_gap(
         spread = (moved * moved) * unknown_A2
     elif WIDE:
         spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
-    x.ss = x.ss + spread
+    unseen = 0.0
+    asks = WIDE and missing > c.gap_steps and x.evidence >= FIRST_VOLTAGE
+    if BANK and x.in_bank == COMPONENT:
+        asks = False
+    if not asks:
+        x.ss = x.ss + spread
+    else:
+        unseen = spread
+        if x.ss > WIDE_VARIANCE:
+            unseen = unseen + (x.ss - WIDE_VARIANCE)
+            x.ss = WIDE_VARIANCE
+            forget_correlations(x)
     if WIDE:
         gain: dict[Any, float] = {}
         for i in BRANCHES:
@@ -264,6 +276,7 @@ def cross_gap(
         forget_hysteresis(x)
     if HEATING:
         x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
+    return F(unseen)
 
 
 @unrolled_by_option

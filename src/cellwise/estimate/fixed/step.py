@@ -9,6 +9,8 @@ sample. The equations are the same functions (:mod:`cellwise.estimate.equations`
 from __future__ import annotations
 
 from cellwise.estimate.equations.covariance import Point, Slopes, move, narrow, scaled
+from cellwise.estimate.equations.evidence import as_shown
+from cellwise.estimate.equations.sensors import shown_unseen
 from cellwise.estimate.equations.start import guess_branches
 from cellwise.estimate.equations.weighing import (
     Innovation,
@@ -144,6 +146,12 @@ def weigh(
     return status
 
 
+def open_up_to(x: State, unseen: float, shown: float) -> None:
+    """The variance that a voltage has shown is the SOC's; the rest of it is stated beside P."""
+    x.ss = x.ss + shown
+    x.persistent = root((x.persistent * x.persistent) + (unseen - shown))
+
+
 def correct(
     c: Constants,
     x: State,
@@ -152,14 +160,20 @@ def correct(
     reading: Reading,
     voltage: float,
     beyond: int,
+    unseen: float,
     out: Output,
 ) -> int:
-    """Predicted voltage, innovation, and what follows from it."""
+    """Predicted voltage, innovation, and what follows from it.
+
+    Of the variance of what has flowed ``unseen`` the SOC gets what the voltage shows, or all of it
+    where there is none; this one is weighed without it, so the next ones say how far it moves.
+    """
     status = U(0)
     if WIDE:
         away = x.no_voltage
         if reading.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
+    shown = unseen
     innovation = innovate(c, x, p, slopes, reading)
     out.voltage_V = innovation.voltage_V
     out.innovation_variance_V2 = innovation.variance_V2
@@ -178,8 +192,13 @@ def correct(
                 if status == U(0):
                     away = U(0)
             if status == U(0):
+                if WIDE and unseen > 0.0:
+                    known_V2 = as_shown(innovation.variance_V2, x.mismatch)
+                    shown = shown_unseen(unseen, innovation_V, known_V2, innovation.slope_V)
                 status = weigh(c, x, p, reading, innovation, innovation_V, beyond)
     if WIDE:
+        if unseen > 0.0:
+            open_up_to(x, unseen, shown)
         if reading.news != REPEATED:
             x.no_voltage = away
         if away > c.hold_steps:
@@ -233,8 +252,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     if x.evidence == NOT_BEGUN:
         guess_branches(c, x, p, reading.delayed_current_A)
         x.evidence = NO_VOLTAGE_YET
+    unseen = 0.0
     if charge.missing != U(0):
-        cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
+        unseen = cross_gap(c, x, p, charge.missing, reading.current, charge.bridge)
     slopes = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE and not (BANK and x.in_bank == COMPONENT):
         slopes = slopes_of(m, place, x.soc, root(x.ss), reading.delayed_current_A, p)
@@ -245,7 +265,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         if OFFSET:
             count_offset(c, x, p, reading, charge.missing)
     beyond = outside(c, x, reading) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, out))
+    status = U(
+        charge.status | correct(c, x, p, slopes, reading, sample.voltage_V, beyond, unseen, out)
+    )
     status = U(status | finish(x, reading, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status
