@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cellwise.cell.effects import TemperatureDependence
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.export.patch import BLOCK, Patch, patch_of
+from cellwise.export.firmware import Firmware, HostLibrary
+from cellwise.export.patch import BLOCK, Patch, patch_between, patched_rows, taken
 from example_cells import curved_cell
 from firmware_cases import compile_and_run
 
@@ -21,9 +26,16 @@ HEAD = """
 #include "cellwise_cell.h"
 #include "cellwise_store.c"
 #define CHECK(c) do { if (!(c)) { printf("line %d: %s\\n", __LINE__, #c); return 1; } } while (0)
-static uint32_t take(cellwise_state *x, cellwise_patch *taken, const cellwise_patch *from)
+static uint32_t take(cellwise_patch *taken, const cellwise_patch *from)
 {
-    return cellwise_take_patch(&cellwise_cell, x, taken, from);
+    return cellwise_take_patch(&cellwise_cell, taken, from);
+}
+static void step(cellwise_state *x, const cellwise_patch *taken, float soc_of)
+{
+    cellwise_input in = {soc_of, 3.7f, 12.0f, x->sequence + 1u};
+    cellwise_output out;
+    cellwise_patch_sample(taken, x, 1u, &in);
+    (void)cellwise_step(&cellwise_cell, x, &in, &out);
 }
 int main(int argc, char **argv)
 {
@@ -37,6 +49,8 @@ int main(int argc, char **argv)
     cellwise_no_patch(&taken);
     before = taken;
     other = taken;
+    step(&x, &taken, 1.0f);
+    step(&y, &taken, 1.0f);
 """
 TAIL = "    return (before.magic == other.magic) ? 0 : 1;\n}\n"
 # First and second generation, of other tables, and the third, intact but for what it says.
@@ -46,60 +60,77 @@ REFUSED = """
     for (uint32_t k = 0u; k < 8u * sizeof other; k++) {
         other = block[0];
         at[k / 8u] = (unsigned char)(at[k / 8u] ^ (1u << (k % 8u)));
-        CHECK(take(&x, &taken, &other) != 0u);
+        CHECK(take(&taken, &other) != 0u);
     }
-    CHECK(take(&x, &taken, &block[2]) == CELLWISE_OTHER_MODEL);
+    CHECK(take(&taken, &block[2]) == CELLWISE_OTHER_MODEL);
     const float bad[4] = {NAN, INFINITY, -1e9f, 1e9f};
     for (uint32_t k = 0u; k < 4u; k++) {
-        for (uint32_t field = 0u; field < 4u; field++) {
+        for (uint32_t at_byte = 16u; at_byte < sizeof other - 4u; at_byte += 4u) {
             other = block[3];
-            (void)memcpy(&at[16u + 4u * field], &bad[k], 4u);
+            (void)memcpy(&at[at_byte], &bad[k], 4u);
             other.crc = crc_of_patch(&other);
-            CHECK(take(&x, &taken, &other) == CELLWISE_BEYOND_BOUNDS);
+            CHECK(take(&taken, &other) == CELLWISE_BEYOND_BOUNDS);
         }
     }
-    CHECK((memcmp(&x, &y, sizeof x) == 0) && (memcmp(&taken, &before, sizeof taken) == 0));
+    CHECK(memcmp(&taken, &before, sizeof taken) == 0);
+    other = block[0];
+    other.layout = 1u;
+    CHECK(take(&taken, &other) == CELLWISE_OTHER_LAYOUT);
+    step(&x, &taken, 2.0f);
+    step(&y, &taken, 2.0f);
+    CHECK(memcmp(&x, &y, sizeof x) == 0);
 """
 UNDONE = """
-    CHECK(take(&x, &taken, &block[1]) == 0u);
-    CHECK(take(&x, &taken, &block[0]) == CELLWISE_OLD_PATCH);
-    const cellwise_state patched = x;
-    (void)cellwise_init(&cellwise_cell, &x, 0.6f, 0.0025f);
-    CHECK(take(&x, &taken, &taken) == 0u);
-    CHECK((memcmp(&x, &patched, sizeof x) == 0) && (memcmp(&x, &y, sizeof x) != 0));
-    CHECK(cellwise_undo_patch(&cellwise_cell, &x, &taken) == 0u);
-    CHECK((memcmp(&x, &y, sizeof x) == 0) && (taken.generation == 2u));
-    const float same_A = cellwise_patched_current(&taken, 1.3f);
-    CHECK(!(same_A < 1.3f) && !(same_A > 1.3f));
-    CHECK(take(&x, &taken, &block[1]) == CELLWISE_OLD_PATCH);
-    CHECK(take(&x, &taken, &block[3]) == 0u);
+    CHECK(take(&taken, &block[1]) == 0u);
+    CHECK(take(&taken, &block[1]) == 0u);
+    CHECK(take(&taken, &block[0]) == CELLWISE_OLD_PATCH);
+    cellwise_state patched = x;
+    step(&patched, &taken, 2.0f);
+    CHECK((patched.per_capacity > 1.2f) && (patched.resistance_scale > 1.4f));
+    /* One that was reset, or restored as it was before the patch, has it with its next sample. */
+    cellwise_state again = x;
+    step(&again, &taken, 2.0f);
+    CHECK(memcmp(&again, &patched, sizeof x) == 0);
+    cellwise_undo_patch(&taken);
+    CHECK(taken.generation == 2u);
+    step(&x, &taken, 2.0f);
+    step(&y, &before, 2.0f);
+    CHECK(memcmp(&x, &y, sizeof x) == 0);
+    step(&patched, &taken, 2.0f);
+    CHECK(!(patched.per_capacity > 1.0f) && !(patched.resistance_scale > 1.0f));
+    CHECK(take(&taken, &block[1]) == CELLWISE_OLD_PATCH);
+    CHECK(take(&taken, &block[3]) == 0u);
+    /* New tables in flash: what was taken of the old ones does nothing. */
+    taken.model_crc = taken.model_crc + 1u;
+    step(&x, &taken, 2.0f);
+    step(&y, &before, 2.0f);
+    CHECK(memcmp(&x, &y, sizeof x) == 0);
+    /* Memory that lost its content leaves a sound state. */
+    (void)memset(&taken, 0xFF, sizeof taken);
+    taken.model_crc = before.model_crc;
+    step(&x, &taken, 2.0f);
+    CHECK((x.resistance_scale >= 0.1f) && (x.per_capacity <= 10.0f) && (x.soc >= 0.0f));
 """
-STEPPED = """
-    CHECK(take(&x, &taken, &block[0]) == 0u);
-    for (uint32_t k = 0u; k < 200u; k++) {
-        cellwise_input in = {0.0f, 3.7f, 25.0f, 0u};
-        cellwise_output out;
-        in.current_A = cellwise_patched_current(&taken, (float)k * 0.03f);
-        in.sequence = k;
-        (void)cellwise_step(&cellwise_cell, &x, &in, &out);
-        printf("%a %a\\n", (double)out.soc, (double)out.soc_variance);
-    }
-"""
+RISING = np.linspace(0.9, 1.6, 5)
 PATCHES = (
-    Patch(1, 0.9, 1.3, 0.05, 1.04),
-    Patch(2, 0.8, 1.5, -0.1, 0.97),
-    Patch(3, 0.8, 1.5),
+    Patch(1, 0.9, (RISING[::-1], RISING), (5.0, 30.0), np.linspace(-0.02, 0.03, 9), 0.05, 1.04),
+    Patch(2, 0.8, ((1.5,) * 5,) * 2, offset_A=-0.1, gain=0.97),
+    Patch(3, 0.8, ((1.5,) * 5,) * 2),
 )
+
+
+def warm_cell():
+    return curved_cell().with_effect(TemperatureDependence(2000.0))
 
 
 @pytest.fixture(scope="module")
 def tables():
-    return fixed_step_tables(curved_cell(), 1.0, wide=False, health=True)
+    return fixed_step_tables(warm_cell(), 1.0, wide=False, health=True)
 
 
 def ran(tables, folder, program):
     """What a program prints that has read four blocks."""
-    other = fixed_step_tables(curved_cell(), 2.0, wide=False, health=True)
+    other = fixed_step_tables(warm_cell(), 2.0, wide=False, health=True)
     first, second, third = (p.block(tables) for p in PATCHES)
     path = folder / "blocks"
     path.write_bytes(first + second + PATCHES[0].block(other) + third)
@@ -119,33 +150,59 @@ def test_a_patch_is_whole_newer_possible_and_of_these_tables_or_changes_nothing(
     ran(tables, tmp_path, program)
 
 
+def samples(count):
+    """A load over all of the SOC at temperatures beyond both rows, a gap, a voltage missing."""
+    rng = np.random.default_rng(4)
+    found = np.zeros(count, dtype=INPUT)
+    found["current_A"] = 3.0 + rng.normal(0.0, 2.0, count)
+    found["voltage_V"] = 3.6 + rng.normal(0.0, 0.05, count)
+    found["voltage_V"][::97] = np.nan
+    found["temperature_C"] = np.linspace(-10.0, 45.0, count)
+    found["sequence"] = np.arange(count) + 200 * (np.arange(count) > count // 2)
+    return found
+
+
 @needs_c
-def test_python_steps_with_a_patch_as_the_c_does(tables, tmp_path):
-    printed = [line.split() for line in ran(tables, tmp_path, STEPPED).splitlines()]
-    fixed = FixedStep(curved_cell(), dt_s=1.0, wide=False, health=True)
-    state = fixed.init(0.6, 0.05)
-    PATCHES[0].take(fixed, state)
-    current_A = PATCHES[0].corrected_A(np.arange(200, dtype=np.float32) * np.float32(0.03))
-    for k, (soc, variance) in enumerate(printed):
-        fixed.step(state, current_A[k], 3.7, 25.0, sequence=k)
-        ours = float(state["soc"][0]), float(state["ss"][0])
-        assert ours == (float.fromhex(soc), float.fromhex(variance)), k
+@pytest.mark.parametrize("wide", [False, True], ids=["lean", "a bank that is open"])
+@pytest.mark.parametrize("cell", [curved_cell, warm_cell], ids=["one temperature", "all"])
+def test_python_steps_with_a_patch_as_the_c_does(cell, wide):
+    made = fixed_step_tables(cell(), 1.0, wide=wide, health=True)
+    block, seen = PATCHES[0].block(made), samples(1500)
+    found = []
+    for stepper in (numba_stepper(made), HostLibrary(made)):
+        memory = stepper.start_filter(9, 0.6, 0.3)
+        out = patched_rows(stepper, taken(block, made), memory, seen)
+        found.append((out.tobytes(), memory.states.tobytes()))
+    assert found[0] == found[1]
+    plain = numba_stepper(made)
+    unpatched = plain.filter_rows(plain.start_filter(9, 0.6, 0.3), seen)
+    assert unpatched.tobytes() != found[0][0]
 
 
 def test_a_patch_takes_at_most_128_bytes_and_what_it_cannot_hold_is_said(tables):
     assert BLOCK.itemsize <= 128
     with pytest.raises(InputError, match="capacity_share"):
         Patch(1, capacity_share=float("nan"))
+    with pytest.raises(InputError, match="shift_V"):
+        Patch(1, shift_V=(0.3,) * 9)
+    with pytest.raises(InputError, match="resistance"):
+        Patch(1, resistance=(1.0, 1.2))
+    with pytest.raises(InputError, match="1 K apart"):
+        Patch(1, temperature_C=(20.0, 20.0))
     with pytest.raises(InputError, match="offset_A"):
         Patch(1, offset_A=1e3).block(tables)
-    with pytest.raises(InputError, match="hysteresis"):
-        patch_of({"hysteresis": {"m_V": 0.03}}, curved_cell(), 1)
 
 
-def test_causes_of_a_diagnosis_become_a_patch_that_takes_them_out():
-    cell = curved_cell()
-    causes = {"capacity": {"capacity_Ah": 0.9 * cell.capacity_Ah}, "current_gain": {"gain": 1.04}}
-    patch = patch_of({**causes, "current_offset": {"offset_A": 0.05}}, cell, 7)
-    flowing = np.linspace(-3.0, 5.0, 9)
-    assert patch.capacity_share == pytest.approx(0.9)
-    assert patch.corrected_A(1.04 * flowing + 0.05) == pytest.approx(flowing, abs=1e-5)
+def test_a_block_is_read_as_a_target_takes_it_and_another_version_is_said(tables):
+    block = PATCHES[0].block(tables)
+    assert taken(block, tables)["per_capacity"][0] == np.float32(1.0 / 0.9)
+    version_1 = block[:4] + (1).to_bytes(4, "little") + block[8:36]
+    with pytest.raises(InputError, match="version 1"):
+        taken(version_1, tables)
+    for damaged in (block[:-1], block[:60] + b"\1" + block[61:]):
+        with pytest.raises(InputError, match="damaged"):
+            taken(damaged, tables)
+    with pytest.raises(InputError, match="no patch"):
+        taken(b"", tables)
+    with pytest.raises(InputError, match="other tables"):
+        taken(block, fixed_step_tables(warm_cell(), 2.0, wide=False, health=True))
