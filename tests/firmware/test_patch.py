@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.export.firmware import Firmware, HostLibrary
-from cellwise.export.patch import BLOCK, Patch, patch_between, patched_rows, taken
+from cellwise.export.firmware import HostLibrary
+from cellwise.export.patch import BLOCK, Patch, patch_between, patch_of, patched_rows, taken
 from example_cells import curved_cell
 from firmware_cases import compile_and_run
+from random_loads import random_load
 
 HEAD = """
 #include <math.h>
@@ -206,3 +208,54 @@ def test_a_block_is_read_as_a_target_takes_it_and_another_version_is_said(tables
         taken(b"", tables)
     with pytest.raises(InputError, match="other tables"):
         taken(block, fixed_step_tables(warm_cell(), 2.0, wide=False, health=True))
+
+
+def aged_cell():
+    """A tenth of the capacity less, half as much more resistance towards empty, another OCV."""
+    cell = curved_cell()
+    grown = 1.5 - 0.5 * cell.soc
+    tables = {n: getattr(cell, n) * grown for n in ("r0_ohm", "r1_ohm", "r2_ohm")}
+    ocv_V = cell.ocv_V + 0.02 * np.sin(np.pi * cell.soc)
+    return replace(cell, capacity_Ah=0.9 * cell.capacity_Ah, ocv_V=ocv_V, **tables)
+
+
+def test_what_a_new_model_says_becomes_a_patch_of_the_old_one():
+    """Against the shares that the cell was made with, and a target with the cell's own tables."""
+    old, new = curved_cell(), aged_cell()
+    patch = patch_between(old, new, 3, (25.0, 25.0), offset_A=0.05, gain=1.04, offset_V=0.005)
+    assert patch.capacity_share == pytest.approx(0.9)
+    np.testing.assert_allclose(patch.resistance[0], 1.5 - 0.5 * np.linspace(0.0, 1.0, 5), rtol=1e-3)
+    expected_V = 0.005 + 0.02 * np.sin(np.pi * np.linspace(0.0, 1.0, 9))
+    np.testing.assert_allclose(patch.shift_V, expected_V, atol=2e-4)
+
+    rng = np.random.default_rng(2)
+    load = random_load(
+        rng, 3.0, 0.95, rows=4000, rate_hz=1.0, charge=True, temperature_C=(24.0, 26.0)
+    )
+    truth = simulate(new, load, 0.95)
+    records = samples_of(new, replace(load, voltage_V=truth.voltage_V), 1.0).records
+    read = records.copy()
+    read["current_A"] = 1.04 * records["current_A"] + 0.05
+    read["voltage_V"] += 0.005
+    error = {}
+    for name, cell, seen in (("old", old, read), ("patched", old, read), ("new", new, records)):
+        made = fixed_step_tables(cell, 1.0, health=True)
+        stepper = numba_stepper(made)
+        memory = stepper.start_filter(9, 0.9, 0.1)
+        if name == "patched":
+            out = patched_rows(stepper, taken(patch.block(made), made), memory, seen)
+        else:
+            out = stepper.filter_rows(memory, seen)
+        error[name] = float(np.sqrt(np.mean((out["soc"] - truth.soc)[600:] ** 2)))
+    assert error["patched"] < error["new"] + 0.003 < error["old"]
+
+
+def test_causes_of_a_diagnosis_become_a_patch_and_what_it_cannot_hold_is_said():
+    old, new = curved_cell(), aged_cell()
+    causes = {"capacity": {}, "ocv_shift": {}, "current_gain": {"gain": 1.04}}
+    patch = patch_of(causes, old, new, 7, (10.0, 30.0))
+    assert (patch.generation, patch.gain, patch.temperature_C) == (7, 1.04, (10.0, 30.0))
+    assert patch.capacity_share == pytest.approx(0.9)
+    for causes in ({"hysteresis": {"m_V": 0.03}}, {"initial_soc": {"soc0": 0.4}}, {}):
+        with pytest.raises(InputError, match=next(iter(causes), "no cause")):
+            patch_of(causes, old, new, 1, (10.0, 30.0))

@@ -9,7 +9,9 @@ what the tables' own cell would show. The fixed step in Python goes on with the 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
 from cellwise.estimate.fixed.stepper import FilterMemory, Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.typing import FloatArray
+from cellwise.export.firmware import HostLibrary
 
 # `cellwise_patch` of cellwise_store.h.
 RESISTANCE_KNOTS, SHIFT_KNOTS = 5, 9  # over SOC, evenly from 0 to 1, as those of a diagnosis
@@ -160,7 +162,58 @@ def patch_between(
     )
 
 
+def patch_of(
+    causes: Mapping[str, Mapping[str, float]],
+    model: CellModel,
+    new: CellModel,
+    generation: int,
+    temperature_C: tuple[float, float],
+) -> Patch:
+    """A patch of the causes that a diagnosis named.
+
+    Parameters
+    ----------
+    causes : mapping             of names to parameters: ``{c.name: c.parameters for c in found.causes}``
+    model, new : CellModel       that the target has, and what the diagnosis extended
+    temperature_C : (2,) float   of the logs, from the lowest to the highest [degC]
+
+    Raises
+    ------
+    InputError        no cause, or one that needs new tables; as :class:`Patch`
+    """
+    beyond = sorted(set(causes) - HELD.keys() - OF_LOGS)
+    held = {name: of for name, of in causes.items() if name in HELD}
+    if beyond or not held:
+        said = ", ".join(beyond or causes) or "no cause"
+        raise _refused(said, ", ".join(name for name in HELD))
+    sensors = {HELD[name]: of[HELD[name]] for name, of in held.items() if HELD[name]}
+    return patch_between(model, new, generation, temperature_C, **sensors)
+
+
+# Causes that a patch holds, those of a sensor by their parameter; and those that no target has.
+HELD = {
+    "current_offset": "offset_A",
+    "current_gain": "gain",
+    "voltage_offset": "offset_V",
+    **dict.fromkeys(("capacity", "resistance_scale", "ohmic_resistance", "ocv_shift"), ""),
+    **dict.fromkeys(("lithium_inventory", "active_material_negative"), ""),
+    **dict.fromkeys(("active_material_positive", "temperature_dependence"), ""),
+}
+OF_LOGS = {"initial_soc", "sensor_fault"}
 _KNOTS = np.linspace(0.0, 1.0, SHIFT_KNOTS)
+
+
+def read_patch(path: str | Path) -> bytes:
+    """The block of a file, as it is.
+
+    Raises
+    ------
+    InputError        no file that can be read
+    """
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise _refused(f"'{path}', which cannot be read ({error.strerror})", "a file") from error
 
 
 def taken(block: bytes, tables: FixedStepTables) -> NDArray[Any]:
@@ -203,9 +256,26 @@ def patched_sample(patch: NDArray[Any], states: NDArray[Any], sample: NDArray[An
 def patched_rows(
     stepper: Stepper, patch: NDArray[Any], memory: FilterMemory, samples: NDArray[Any]
 ) -> NDArray[Any]:
-    """Step every sample with a patch that was taken: records of OUTPUT, shape (samples,)."""
+    """Step every sample with a patch that was taken: records of OUTPUT, shape (samples,).
+
+    Compiled C takes and applies it itself.
+
+    Raises
+    ------
+    InputError        made without ``health``; a patch that the C refuses
+    """
+    stepper.need("health")
     outputs = np.zeros(samples.size, dtype=OUTPUT)
-    seen = samples.astype(INPUT)  # a copy
+    seen = np.array(samples, dtype=INPUT)
+    if isinstance(stepper, HostLibrary):
+        name, bank = "patched_rows", ()
+        if memory.bank is not None:
+            name, bank = "patched_bank_rows", (memory.bank,)
+        of = (memory.states, memory.states.size - 1) if bank else (memory.states,)
+        refused = stepper.call(name, patch, *bank, *of, seen, outputs, seen.size)
+        if refused:
+            raise _refused(f"a patch that the C refuses with {refused}", "a block of `Patch`")
+        return outputs
     for k in range(seen.size):
         sample = seen[k : k + 1]
         alone = memory.bank is None or not memory.bank["spread"][0]
