@@ -17,6 +17,7 @@ from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.firmware import HostLibrary
 from cellwise.export.patch import BLOCK, Patch, patch_between, patch_of, patched_rows, taken
+from cellwise.logs import CellLog
 from example_cells import curved_cell
 from firmware_cases import compile_and_run
 from random_loads import random_load
@@ -232,8 +233,9 @@ def test_what_a_new_model_says_becomes_a_patch_of_the_old_one():
     load = random_load(
         rng, 3.0, 0.95, rows=4000, rate_hz=1.0, charge=True, temperature_C=(24.0, 26.0)
     )
-    truth = simulate(new, load, 0.95)
-    records = samples_of(new, replace(load, voltage_V=truth.voltage_V), 1.0).records
+    log = CellLog(load.time_s, load.current_A, np.full(load.time_s.size, 3.7), load.temperature_C)
+    truth = simulate(new, log, 0.95)
+    records = samples_of(new, replace(log, voltage_V=truth.voltage_V), 1.0).records
     read = records.copy()
     read["current_A"] = 1.04 * records["current_A"] + 0.05
     read["voltage_V"] += 0.005

@@ -147,8 +147,10 @@ def patch_between(
         [[look_up(m.parameters(), s, t) for s in _KNOTS] for t in (low_C, high_C)]
         for m in (model, new)
     )
-    drop = [[[p.r0_ohm + p.r1_ohm + p.r2_ohm + p.r3_ohm for p in row] for row in of]
-            for of in (before, after)]
+    drop = [
+        [[p.r0_ohm + p.r1_ohm + p.r2_ohm + p.r3_ohm for p in row] for row in of]
+        for of in (before, after)
+    ]
     ocv_V = np.array([[[p.ocv_V for p in row] for row in of] for of in (before, after)])
     ratio = np.array(drop[1]) / np.array(drop[0])
     shift_V = np.mean(ocv_V[1] - ocv_V[0], axis=0) + sensors.pop("offset_V", 0.0)
@@ -173,7 +175,7 @@ def patch_of(
 
     Parameters
     ----------
-    causes : mapping             of names to parameters: ``{c.name: c.parameters for c in found.causes}``
+    causes : mapping             of their names to parameters, as a `FoundCause` has them
     model, new : CellModel       that the target has, and what the diagnosis extended
     temperature_C : (2,) float   of the logs, from the lowest to the highest [degC]
 
@@ -268,11 +270,12 @@ def patched_rows(
     outputs = np.zeros(samples.size, dtype=OUTPUT)
     seen = np.array(samples, dtype=INPUT)
     if isinstance(stepper, HostLibrary):
-        name, bank = "patched_rows", ()
+        handed: tuple[Any, ...] = (memory.states, seen, outputs, seen.size)
+        name = "patched_rows"
         if memory.bank is not None:
-            name, bank = "patched_bank_rows", (memory.bank,)
-        of = (memory.states, memory.states.size - 1) if bank else (memory.states,)
-        refused = stepper.call(name, patch, *bank, *of, seen, outputs, seen.size)
+            count = memory.states.size - 1
+            name, handed = "patched_bank_rows", (memory.bank, memory.states, count, *handed[1:])
+        refused = stepper.call(name, patch, *handed)
         if refused:
             raise _refused(f"a patch that the C refuses with {refused}", "a block of `Patch`")
         return outputs

@@ -39,8 +39,8 @@ from cellwise.benchmark.row_store import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.sensor import CAR, Sensor, assumed
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.sensor import CAR, Sensor, assumed
 from cellwise.export.patch import patched_rows, taken
 from cellwise.files import made_folder
 from cellwise.fleet.engine import LOCAL, connected, rows_of
@@ -255,7 +255,9 @@ def check_patch(exported: Exported | Gauge, patch: bytes) -> None:
     """
     if isinstance(exported, Gauge):
         raise InputError(
-            "a patch of a gauge", "a patch of an export", "Leave out " + arg("patch", letter="FILE") + "."
+            "a patch of a gauge",
+            "a patch of an export",
+            "Leave out " + arg("patch", letter="FILE") + ".",
         )
     if not exported.stepper.tables.options.health:
         raise InputError(
