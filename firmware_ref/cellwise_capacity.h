@@ -42,7 +42,7 @@ static void begin_at_rest(cellwise_soh *a, float soc, float variance)
     a->counted = 0.0f;
     a->counted_carry = 0.0f;
     a->unsure = 0.0f;
-    a->steps = 0u;
+    a->counted_from = a->sequence;
 }
 
 /* What is stated of the share: beside the pairs' error, that of the OCV and of the model. The model's capacity is
@@ -71,14 +71,14 @@ void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a)
     a->share = 1.0f;
     forget_share(a);
     a->moved = 0.0f;
+    a->sequence = 0u;
     begin_at_rest(a, 0.0f, 0.0f);
     a->current_A = 0.0f;
     a->voltage_V = 0.0f;
     a->held_V = 0.0f;
-    a->rest = 0u;
+    a->loaded = 0u;
     a->silent = 0u;
     a->pairs = 0u;
-    a->sequence = 0u;
     a->begun = 0u;
 }
 
@@ -217,7 +217,7 @@ static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, 
     rested(m, &place, x, a, &now);
     if (now.variance <= SOH_SOC_VARIANCE) {
         age(c, a);
-        const float steps = (float)a->steps;
+        const float steps = (float)(a->sequence - a->counted_from);
         const float drift = steps * c->soh_drift;
         const float both_soc2 = a->variance + now.variance;
         const float count_soc2 = a->unsure + (steps * c->soc_walk);

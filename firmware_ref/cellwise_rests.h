@@ -13,44 +13,43 @@ static float moved_by(const cellwise_constants *c, const cellwise_state *x, floa
     return used;
 }
 
-/* The charge of an interval, and of samples that are missing, as the step counts them. */
-static void count_on(const cellwise_constants *c, const cellwise_state *x, cellwise_soh *a, uint32_t missing)
+/* SOC that samples which are missing have taken, as the step counts it. Numbers that may have begun again go on from
+ * where the count and the rest were. */
+static float bridged(const cellwise_constants *c, const cellwise_state *x, cellwise_soh *a, uint32_t missing)
 {
-    float used = moved_by(c, x, x->current_A);
-    if (missing != 0u) {
-        if (missing <= c->gap_steps) {
-            used = used + (moved_by(c, x, 0.5f * (x->current_A + a->current_A)) * (float)missing);
-        } else {
-            /* A load that many gaps hide takes the same way in all of them. */
-            const float off = root(a->unsure) + root(c->gap_variance);
-            a->unsure = at_most(off * off, 1.0f);
-        }
+    float used = 0.0f;
+    if (missing <= c->gap_steps) {
+        used = moved_by(c, x, 0.5f * (x->current_A + a->current_A)) * (float)missing;
+    } else {
+        /* A load that many gaps hide takes the same way in all of them. */
+        const float off = root(a->unsure) + root(c->gap_variance);
+        a->unsure = at_most(off * off, 1.0f);
     }
-    add(&a->counted, &a->counted_carry, -used);
-    a->moved = at_most(a->moved + magnitude(used), SINCE_MOST);
-    if (a->steps < COUNT_MOST) {
-        a->steps = (a->steps + missing) + 1u;
+    if (missing > LONGEST_GAP) {
+        const uint32_t more = missing - LONGEST_GAP;
+        a->counted_from = a->counted_from + more;
+        a->loaded = a->loaded + more;
+    }
+    return used;
+}
+
+/* After so long a rest a voltage is the OCV, but for what the branches hold. */
+static NOINLINE void keep_rested(const cellwise_constants *c, const cellwise_state *x, cellwise_soh *a, float voltage_V)
+{
+    if (POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V)) {
+        const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
+        a->voltage_V = voltage_V;
+        a->held_V = magnitude(held_V);
     }
 }
 
-/* How long the cell has rested, and what its voltage was last. */
-static void watch_rest(const cellwise_constants *c, const cellwise_state *x, cellwise_soh *a, uint32_t missing,
-                       float voltage_V)
+/* Whether nobody knows what flows. */
+static bool is_silent(const cellwise_constants *c, const cellwise_state *x, const cellwise_soh *a, float current_A)
 {
-    if (SIZE_BELOW(x->current_A, c->soh_rest_A)) {
-        if (a->rest < COUNT_MOST) {
-            a->rest = (a->rest + missing) + 1u;
-        }
-        const bool shown = POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V);
-        if (shown && (a->rest >= c->soh_steps)) {
-            const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
-            a->voltage_V = voltage_V;
-            a->held_V = magnitude(held_V);
-        }
-    } else {
-        a->rest = 0u;
-        a->voltage_V = 0.0f;
-    }
+    (void)a;
+    (void)current_A;
+    const bool silent = x->no_current > c->gap_steps;
+    return silent;
 }
 
 void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a, const cellwise_input *sample)
@@ -61,25 +60,30 @@ void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwis
         cellwise_soh_init(m, a);
     }
     const uint32_t elapsed = sample->sequence - a->sequence;
+    const bool is_loaded = !SIZE_BELOW(x->current_A, c->soh_rest_A);
     if (a->begun == 0u) {
         a->begun = 1u;
+        a->loaded = sample->sequence;
     } else if (elapsed != 0u) {
-        uint32_t missing = elapsed - 1u;
-        missing = (missing < LONGEST_GAP) ? missing : LONGEST_GAP;
-        if ((a->voltage_V > 0.0f) && !SIZE_BELOW(x->current_A, c->soh_rest_A)) {
+        if (is_loaded && (a->voltage_V > 0.0f)) {
             end_rest(m, x, a);
         }
-        count_on(c, x, a, missing);
-        a->silent = SIZE_WITHIN(sample->current_A, c->current_limit_A) ? 0u : (a->silent + 1u);
-        if (x->no_current > c->gap_steps) {
-            a->silent = x->no_current;
+        float used = moved_by(c, x, x->current_A);
+        if (elapsed > 1u) {
+            used = used + bridged(c, x, a, elapsed - 1u);
         }
-        if (a->silent > c->gap_steps) {
+        add(&a->counted, &a->counted_carry, -used);
+        a->moved = a->moved + magnitude(used);
+        const bool silent = is_silent(c, x, a, sample->current_A);
+        if (silent) {
             begin_at_rest(a, 0.0f, 0.0f);
-            a->rest = 0u;
+        }
+        if (silent || is_loaded) {
+            a->loaded = sample->sequence;
             a->voltage_V = 0.0f;
-        } else {
-            watch_rest(c, x, a, missing, sample->voltage_V);
+        } else if ((sample->sequence - a->loaded) >= c->soh_steps) {
+            keep_rested(c, x, a, sample->voltage_V);
+        } else { /* as before */
         }
     } else { /* as before */
     }

@@ -33,9 +33,9 @@ typedef struct {
     float current_A; /* of the last sample */
     float voltage_V; /* last one of a long rest; 0: none */
     float held_V; /* by the branches then */
-    uint32_t steps; /* since the rest that is counted from */
-    uint32_t rest; /* steps at rest */
-    uint32_t silent; /* steps without a current */
+    uint32_t counted_from; /* sequence of the sample that ended it */
+    uint32_t loaded; /* sequence of the last sample with a load */
+    uint32_t silent; /* steps without a current; not with CELLWISE_WIDE */
     uint32_t pairs; /* of rests that were used */
     uint32_t refused; /* pairs in a row that were not */
     uint32_t sequence; /* of the last sample */

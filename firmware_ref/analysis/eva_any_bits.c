@@ -253,8 +253,8 @@ void eva_any_soh(void)
     a.current_A = any_float;
     a.voltage_V = any_float;
     a.held_V = any_float;
-    a.steps = any_integer;
-    a.rest = any_integer;
+    a.counted_from = any_integer;
+    a.loaded = any_integer;
     a.silent = any_integer;
     a.pairs = any_integer;
     a.refused = any_integer;

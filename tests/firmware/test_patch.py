@@ -255,9 +255,27 @@ def test_what_a_new_model_says_becomes_a_patch_of_the_old_one():
 def test_causes_of_a_diagnosis_become_a_patch_and_what_it_cannot_hold_is_said():
     old, new = curved_cell(), aged_cell()
     causes = {"capacity": {}, "ocv_shift": {}, "current_gain": {"gain": 1.04}}
-    patch = patch_of(causes, old, new, 7, (10.0, 30.0))
+    patch = patch_of(causes, old, 7, new, (10.0, 30.0))
     assert (patch.generation, patch.gain, patch.temperature_C) == (7, 1.04, (10.0, 30.0))
     assert patch.capacity_share == pytest.approx(0.9)
     for causes in ({"hysteresis": {"m_V": 0.03}}, {"initial_soc": {"soc0": 0.4}}, {}):
         with pytest.raises(InputError, match=next(iter(causes), "no cause")):
-            patch_of(causes, old, new, 1, (10.0, 30.0))
+            patch_of(causes, old, 1, new, (10.0, 30.0))
+
+
+def test_parameters_alone_become_a_patch_too():
+    """What a diagnosis by a few hundred bytes has: no model, only numbers."""
+    cell = curved_cell()
+    shift_V = np.linspace(-0.01, 0.02, 9)
+    causes = {
+        "capacity": {"capacity_Ah": 0.8 * cell.capacity_Ah},
+        "resistance_scale": {"scale": 1.3},
+        "ocv_shift": {f"shift_{125 * k:04d}_V": v for k, v in enumerate(shift_V)},
+        "voltage_offset": {"offset_V": 0.004},
+    }
+    patch = patch_of(causes, cell, 2)
+    assert patch.capacity_share == pytest.approx(0.8)
+    np.testing.assert_array_equal(patch.resistance, 1.3)
+    np.testing.assert_allclose(patch.shift_V, shift_V + 0.004)
+    with pytest.raises(InputError, match="lithium_inventory"):
+        patch_of({"lithium_inventory": {"lithium_loss": 0.1}}, cell, 2)

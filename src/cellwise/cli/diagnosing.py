@@ -29,10 +29,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import known_temperature_C
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
@@ -133,6 +130,8 @@ def _write(
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
         written["corrected"] = _write_logs(found.corrected, arguments.corrected)
     if exported is not None:
+        from cellwise.workflows.patching import patch_for
+
         try:
             write_atomically(arguments.patch, patch_for(found, exported, arguments.generation))
             written["patch"] = arguments.patch
@@ -143,30 +142,6 @@ def _write(
         write_model(found.extended_model or found.model, arguments.output)
         written["extended_model"] = arguments.output if found.extended_model else None
     return written
-
-
-def patch_for(found: Diagnosis, exported: Exported, generation: int) -> bytes:
-    """A patch of what was found for an exported folder.
-
-    Raises
-    ------
-    InputError        nothing was found that helps; causes that need new tables
-    """
-    from cellwise.export.patch import patch_of
-
-    if found.adopt is False:
-        raise InputError(
-            "logs held out that lose by it", "a gain there", "Give logs that show the cause more."
-        )
-    warm = np.concatenate([known_temperature_C(found.model, log) for log in found.logs])
-    patch = patch_of(
-        {c.name: c.parameters for c in found.causes if c.log is None},
-        exported.model,
-        found.extended_model or found.model,
-        generation,
-        (float(warm.min()), float(warm.max())),
-    )
-    return patch.block(exported.stepper.tables)
 
 
 def _exported(arguments: argparse.Namespace) -> Exported | None:

@@ -127,7 +127,7 @@ def patch_between(
     """What makes a target with ``model`` follow the cell that ``new`` describes.
 
     Capacity, OCV and, by what a long load drops, resistances; not how a drop is shared between
-    branches, nor what has no form in a patch (hysteresis, leak, warming).
+    branches, nor what has no form in a patch (hysteresis, self-discharge, warming).
 
     Parameters
     ----------
@@ -167,29 +167,43 @@ def patch_between(
 def patch_of(
     causes: Mapping[str, Mapping[str, float]],
     model: CellModel,
-    new: CellModel,
     generation: int,
-    temperature_C: tuple[float, float],
+    new: CellModel | None = None,
+    temperature_C: tuple[float, float] = (0.0, 25.0),
 ) -> Patch:
     """A patch of the causes that a diagnosis named.
 
     Parameters
     ----------
     causes : mapping             of their names to parameters, as a `FoundCause` has them
-    model, new : CellModel       that the target has, and what the diagnosis extended
+    model : CellModel            that the target has
+    new : CellModel or None      what the diagnosis extended; None: capacity, one factor on all
+                                 resistances, a shift of the OCV by their parameters, no other
     temperature_C : (2,) float   of the logs, from the lowest to the highest [degC]
 
     Raises
     ------
     InputError        no cause, or one that needs new tables; as :class:`Patch`
     """
-    beyond = sorted(set(causes) - HELD.keys() - OF_LOGS)
-    held = {name: of for name, of in causes.items() if name in HELD}
+    known = HELD if new is not None else {n: p for n, p in HELD.items() if p or n in OF_ONE_CELL}
+    beyond = sorted(set(causes) - known.keys() - OF_LOGS)
+    held = {name: of for name, of in causes.items() if name in known}
     if beyond or not held:
-        said = ", ".join(beyond or causes) or "no cause"
-        raise _refused(said, ", ".join(name for name in HELD))
+        raise _refused(", ".join(beyond or causes) or "no cause", ", ".join(known))
     sensors = {HELD[name]: of[HELD[name]] for name, of in held.items() if HELD[name]}
-    return patch_between(model, new, generation, temperature_C, **sensors)
+    if new is not None:
+        return patch_between(model, new, generation, temperature_C, **sensors)
+    capacity_Ah = held.get("capacity", {}).get("capacity_Ah", model.capacity_Ah)
+    scale = held.get("resistance_scale", {}).get("scale", 1.0)
+    knots_V = np.array([*held.get("ocv_shift", {}).values()] or [0.0] * SHIFT_KNOTS)
+    return Patch(
+        generation,
+        capacity_Ah / model.capacity_Ah,
+        np.full((2, RESISTANCE_KNOTS), scale),
+        temperature_C,
+        knots_V + sensors.pop("offset_V", 0.0),
+        **sensors,
+    )
 
 
 # Causes that a patch holds, those of a sensor by their parameter; and those that no target has.
@@ -201,6 +215,7 @@ HELD = {
     **dict.fromkeys(("lithium_inventory", "active_material_negative"), ""),
     **dict.fromkeys(("active_material_positive", "temperature_dependence"), ""),
 }
+OF_ONE_CELL = ("capacity", "resistance_scale", "ocv_shift")
 OF_LOGS = {"initial_soc", "sensor_fault"}
 _KNOTS = np.linspace(0.0, 1.0, SHIFT_KNOTS)
 

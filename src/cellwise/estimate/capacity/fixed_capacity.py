@@ -69,7 +69,7 @@ def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
     a.counted = 0.0
     a.counted_carry = 0.0
     a.unsure = 0.0
-    a.steps = U(0)
+    a.counted_from = a.sequence
 
 
 def state_variance(c: Constants, a: Soh) -> None:
@@ -97,14 +97,14 @@ def start_soh(m: Model, a: Soh) -> None:
     a.share = 1.0
     forget_share(a)
     a.moved = 0.0
+    a.sequence = U(0)
     begin_at_rest(a, 0.0, 0.0)
     a.current_A = 0.0
     a.voltage_V = 0.0
     a.held_V = 0.0
-    a.rest = U(0)
+    a.loaded = U(0)
     a.silent = U(0)
     a.pairs = U(0)
-    a.sequence = U(0)
     a.begun = U(0)
 
 
@@ -257,7 +257,7 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
     now = rested(m, place, x, a)
     if now.variance <= SOH_SOC_VARIANCE:
         age(c, a)
-        steps = F(a.steps)
+        steps = F(U(a.sequence - a.counted_from))
         drift = steps * c.soh_drift
         both_soc2 = a.variance + now.variance
         count_soc2 = a.unsure + (steps * c.soc_walk)
@@ -282,38 +282,45 @@ def moved_by(c: Constants, x: State, current_A: float) -> float:
     return F(used)
 
 
-def count_on(c: Constants, x: State, a: Soh, missing: int) -> None:
-    """The charge of an interval, and of samples that are missing, as the step counts them."""
-    used = moved_by(c, x, x.current_A)
-    if missing != U(0):
-        if missing <= c.gap_steps:
-            used = used + (moved_by(c, x, 0.5 * (x.current_A + a.current_A)) * F(missing))
-        else:
-            # A load that many gaps hide takes the same way in all of them.
-            off = root(a.unsure) + root(c.gap_variance)
-            a.unsure = at_most(off * off, 1.0)
-    a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
-    a.moved = at_most(a.moved + magnitude(used), SINCE_MOST)
-    if a.steps < COUNT_MOST:
-        a.steps = U(a.steps + missing + 1)
+def bridged(c: Constants, x: State, a: Soh, missing: int) -> float:
+    """SOC that samples which are missing have taken, as the step counts it.
 
-
-@unrolled_by_option
-def watch_rest(c: Constants, x: State, a: Soh, missing: int, voltage_V: float) -> None:
-    """How long the cell has rested, and what its voltage was last."""
-    if size_below(x.current_A, c.soh_rest_A):
-        if a.rest < COUNT_MOST:
-            a.rest = U(a.rest + missing + 1)
-        shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
-        if shown and a.rest >= c.soh_steps:
-            held_V = 0.0
-            for i in BRANCHES:
-                held_V = held_V + x.state[i]
-            a.voltage_V = voltage_V
-            a.held_V = magnitude(held_V)
+    Numbers that may have begun again go on from where the count and the rest were.
+    """
+    used = 0.0
+    if missing <= c.gap_steps:
+        used = moved_by(c, x, 0.5 * (x.current_A + a.current_A)) * F(missing)
     else:
-        a.rest = U(0)
-        a.voltage_V = 0.0
+        # A load that many gaps hide takes the same way in all of them.
+        off = root(a.unsure) + root(c.gap_variance)
+        a.unsure = at_most(off * off, 1.0)
+    if missing > LONGEST_GAP:
+        more = U(missing - LONGEST_GAP)
+        a.counted_from = U(a.counted_from + more)
+        a.loaded = U(a.loaded + more)
+    return used
+
+
+@noinline
+@unrolled_by_option
+def keep_rested(c: Constants, x: State, a: Soh, voltage_V: float) -> None:
+    """After so long a rest a voltage is the OCV, but for what the branches hold."""
+    if positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V):
+        held_V = 0.0
+        for i in BRANCHES:
+            held_V = held_V + x.state[i]
+        a.voltage_V = voltage_V
+        a.held_V = magnitude(held_V)
+
+
+def is_silent(c: Constants, x: State, a: Soh, current_A: float) -> bool:
+    """Whether nobody knows what flows."""
+    if WIDE:
+        silent = x.no_current > c.gap_steps
+    else:
+        a.silent = U(0) if size_within(current_A, c.current_limit_A) else U(a.silent + 1)
+        silent = a.silent > c.gap_steps
+    return silent
 
 
 def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
@@ -328,22 +335,25 @@ def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
     if not (shown and positive_within(a.share, LEAST_SHARE, MOST_SHARE)):
         start_soh(m, a)
     elapsed = U(sample.sequence - a.sequence)
+    is_loaded = not size_below(x.current_A, c.soh_rest_A)
     if a.begun == U(0):
         a.begun = U(1)
+        a.loaded = sample.sequence
     elif elapsed != U(0):
-        missing = U(elapsed - 1)
-        missing = missing if missing < LONGEST_GAP else LONGEST_GAP
-        if a.voltage_V > 0.0 and not size_below(x.current_A, c.soh_rest_A):
+        if is_loaded and a.voltage_V > 0.0:
             end_rest(m, x, a)
-        count_on(c, x, a, missing)
-        a.silent = U(0) if size_within(sample.current_A, c.current_limit_A) else U(a.silent + 1)
-        if WIDE and x.no_current > c.gap_steps:
-            a.silent = x.no_current
-        if a.silent > c.gap_steps:
+        used = moved_by(c, x, x.current_A)
+        if elapsed > U(1):
+            used = used + bridged(c, x, a, U(elapsed - 1))
+        a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
+        a.moved = a.moved + magnitude(used)
+        silent = is_silent(c, x, a, sample.current_A)
+        if silent:
             begin_at_rest(a, 0.0, 0.0)
-            a.rest = U(0)
+        if silent or is_loaded:
+            a.loaded = sample.sequence
             a.voltage_V = 0.0
-        else:
-            watch_rest(c, x, a, missing, sample.voltage_V)
+        elif U(sample.sequence - a.loaded) >= c.soh_steps:
+            keep_rested(c, x, a, sample.voltage_V)
     a.sequence = sample.sequence
     a.current_A = x.current_A
