@@ -1,4 +1,4 @@
-/* Part of cellwise_ekf.c. The charge between rests, and how long a cell has rested. Printed from
+/* Part of cellwise_ekf.c. The charge between rests, how long a cell has rested, the first load after. Printed from
  * src/cellwise/estimate by `python -m cellwise.printing`; do not edit. */
 #ifndef CELLWISE_RESTS_H
 #define CELLWISE_RESTS_H
@@ -11,6 +11,101 @@ static float moved_by(const cellwise_constants *c, const cellwise_state *x, floa
     float used = taken(c, x, current_A);
     used = used / x->per_capacity;
     return used;
+}
+
+/* How far a branch has come after so many steps. */
+static float risen_after(float gain, uint32_t steps)
+{
+    float left = 1.0f;
+    for (uint32_t k = 0u; k < steps; k++) {
+        left = left * (1.0f - gain);
+    }
+    return 1.0f - left;
+}
+
+/* What the tables' resistances drop after so many steps of a current from rest on. */
+static void drop_since_rest(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
+                            float current_A, uint32_t steps, cellwise_dropsincerest *dropsincerest)
+{
+    const cellwise_row *const low = m->row[place->low];
+    const cellwise_row *const high = m->row[place->low + 1u];
+    const cellwise_constants *const c = &m->constant;
+    const uint32_t points = CELLWISE_POINTS;
+    cellwise_socplace z;
+    soc_place(place, points, x->soc, &z);
+    cellwise_loaded under;
+    resistances_at(m, place, &z, current_A, &under);
+    float ohm = under.r0_ohm;
+    float gain = 1.0f / READ(z.at, lag1, z.share);
+    ohm = ohm + (under.r1_ohm * risen_after(gain, steps));
+    gain = 1.0f / READ(z.at, lag2, z.share);
+    ohm = ohm + (under.r2_ohm * risen_after(gain, steps));
+    gain = 1.0f / READ(z.at, lag3, z.share);
+    ohm = (ohm + (under.r3_ohm * risen_after(gain, steps))) / x->resistance_scale;
+    const float slope_V = RISE(z.k, ocv_V) * (float)(points - 1u);
+    dropsincerest->ocv_V = slope_V * (moved_by(c, x, current_A) * (float)steps);
+    dropsincerest->tables_V = ohm * current_A;
+}
+
+/* A voltage under the first load after a rest: the drop since, over that of the tables. A reading that is far off
+ * moves the estimate no further than one at the gate, so that a contact that came loose is found by and by. As of
+ * the capacity, what is stated is no surer than the model's own resistances. */
+static void use_load(const cellwise_constants *c, cellwise_soh *a, float current_A, const cellwise_dropsincerest *drop,
+                     float voltage_V)
+{
+    const float per_V = 1.0f / drop->tables_V;
+    const float shown = ((a->voltage_V - voltage_V) - drop->ocv_V) * per_V;
+    const float volts_V2 = (c->fixed_V2 + c->fixed_V2) + (a->held_V * a->held_V);
+    const float amperes = c->current_variance_A2 / (current_A * current_A);
+    const float single = (volts_V2 * (per_V * per_V)) + ((a->resistance * a->resistance) * amperes);
+    const float share = (current_A < 0.0f) ? c->charge_variance : c->share_variance;
+    const float model = (a->resistance * a->resistance) * share;
+    const float total = a->rr + (single + model);
+    const float most = root(at_most(c->gate_square * total, 4.0f * MOST_SCALE));
+    const float gain = a->rr / total;
+    const float missed = clip(shown - a->resistance, -most, most);
+    a->resistance = clip(a->resistance + (gain * missed), LEAST_SCALE, MOST_SCALE);
+    a->rr = clip(a->rr - (gain * a->rr), VARIANCE_FLOOR, 1.0f);
+    a->resistance_variance = at_most(a->rr + model, SOH_RESISTANCE);
+    a->loads = a->loads + 1u;
+}
+
+/* Under load after a long rest: its SOC at once, and the resistance once the current stands. Of the first interval
+ * nobody knows how much of it was under load. */
+static NOINLINE void after_rest(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a,
+                                const cellwise_input *sample)
+{
+    const cellwise_constants *const c = &m->constant;
+    if (!soh_is_sound(a)) {
+        const uint32_t last = a->sequence;
+        cellwise_soh_init(m, a);
+        a->sequence = last;
+        a->begun = 1u;
+    }
+    if (a->ended == 0u) {
+        end_rest(m, x, a);
+        a->ended = 1u;
+        a->rest_end = a->sequence;
+    }
+    const uint32_t steps = sample->sequence - a->rest_end;
+    const float small = 0.1f * magnitude(x->current_A);
+    const bool stands = SIZE_BELOW(x->current_A - a->current_A, small) && (steps >= 2u);
+    const bool shown = POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V);
+    bool over = steps > c->soh_load_steps;
+    if (stands && shown && !(over || SIZE_BELOW(x->current_A, c->soh_load_A))) {
+        cellwise_place place;
+        place_now(m, x, &place);
+        cellwise_dropsincerest drop;
+        drop_since_rest(m, &place, x, x->current_A, steps, &drop);
+        if (magnitude(drop.tables_V) >= LEAST_SPAN_V) {
+            use_load(c, a, x->current_A, &drop, sample->voltage_V);
+        }
+        over = true;
+    }
+    if (over) {
+        a->voltage_V = 0.0f;
+        a->ended = 0u;
+    }
 }
 
 /* SOC that samples which are missing have taken, as the step counts it. Numbers that may have begun again go on from
@@ -40,6 +135,7 @@ static NOINLINE void keep_rested(const cellwise_constants *c, const cellwise_sta
         const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
         a->voltage_V = voltage_V;
         a->held_V = magnitude(held_V);
+        a->ended = 0u;
     }
 }
 
@@ -55,18 +151,17 @@ static bool is_silent(const cellwise_constants *c, const cellwise_state *x, cons
 void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a, const cellwise_input *sample)
 {
     const cellwise_constants *const c = &m->constant;
-    const bool shown = NOT_NEGATIVE(a->share_variance, LARGE);
-    if (!(shown && POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE))) {
-        cellwise_soh_init(m, a);
-    }
     const uint32_t elapsed = sample->sequence - a->sequence;
     const bool is_loaded = !SIZE_BELOW(x->current_A, c->soh_rest_A);
     if (a->begun == 0u) {
+        if (!soh_is_sound(a)) {
+            cellwise_soh_init(m, a);
+        }
         a->begun = 1u;
         a->loaded = sample->sequence;
     } else if (elapsed != 0u) {
         if (is_loaded && (a->voltage_V > 0.0f)) {
-            end_rest(m, x, a);
+            after_rest(m, x, a, sample);
         }
         float used = moved_by(c, x, x->current_A);
         if (elapsed > 1u) {
@@ -77,10 +172,10 @@ void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwis
         const bool silent = is_silent(c, x, a, sample->current_A);
         if (silent) {
             begin_at_rest(a, 0.0f, 0.0f);
+            a->voltage_V = 0.0f;
         }
         if (silent || is_loaded) {
             a->loaded = sample->sequence;
-            a->voltage_V = 0.0f;
         } else if ((sample->sequence - a->loaded) >= c->soh_steps) {
             keep_rested(c, x, a, sample->voltage_V);
         } else { /* as before */
@@ -89,6 +184,17 @@ void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwis
     }
     a->sequence = sample->sequence;
     a->current_A = x->current_A;
+}
+
+void cellwise_soh_of(const cellwise_model *m, cellwise_soh *a, cellwise_soh_output *out)
+{
+    if (!soh_is_sound(a)) {
+        cellwise_soh_init(m, a);
+    }
+    out->share = a->share;
+    out->share_variance = a->share_variance;
+    out->resistance = a->resistance;
+    out->resistance_variance = a->resistance_variance;
 }
 
 #endif

@@ -1,5 +1,5 @@
-/* Capacity that is left, estimated between two rests far apart. Printed from src/cellwise/estimate by `python -m
- * cellwise.printing`; do not edit. */
+/* Capacity that is left, between rests far apart, and resistance, after one. Printed from src/cellwise/estimate by
+ * `python -m cellwise.printing`; do not edit. */
 /* Where it is compiled in: cellwise_soh_step after each cellwise_step, on a record that is kept over a switch-off beside
  * the state, for the tables it was made with: cellwise_soh_init for others. As the current sensor counts it: one that
  * shows too much shows too much capacity. */
@@ -36,18 +36,35 @@ typedef struct {
     uint32_t counted_from; /* sequence of the sample that ended it */
     uint32_t loaded; /* sequence of the last sample with a load */
     uint32_t silent; /* steps without a current; not with CELLWISE_WIDE */
+    float resistance; /* scale of the tables' resistances, */
+    float resistance_variance; /* and its variance */
+    float rr; /* that which weighs, beside the model's own error */
+    uint32_t ended; /* 1: the rest is over, its first load is watched */
+    uint32_t rest_end; /* sequence of its last sample */
+    uint32_t loads; /* after a rest that were used */
     uint32_t pairs; /* of rests that were used */
     uint32_t refused; /* pairs in a row that were not */
     uint32_t sequence; /* of the last sample */
     uint32_t begun; /* 0: no sample yet */
 } cellwise_soh;
+
+typedef struct {
+    float share; /* of the tables' capacity that is left, */
+    float share_variance; /* and its variance */
+    float resistance; /* scale of the tables' resistances, */
+    float resistance_variance; /* and its variance */
+} cellwise_soh_output;
+
 /* Before the first sample: the capacity of the tables, known as that of any used cell. */
 void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a);
 
 /* After each step, with its sample: count, watch for rests, and use a pair of them. A current that is missing for
- * longer than what is bridged makes the count worthless: it begins again at the next rest. Of memory that lost its
- * content what is shown is noticed at once, the rest before it is used. */
+ * longer than what is bridged makes the count worthless: it begins again at the next rest. A load after a rest shows
+ * the resistance. */
 void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a, const cellwise_input *sample);
+
+/* What is known of the cell now; a record whose memory lost its content begins again. */
+void cellwise_soh_of(const cellwise_model *m, cellwise_soh *a, cellwise_soh_output *out);
 
 #ifdef __cplusplus
 }

@@ -123,7 +123,6 @@ def fitted(model, logs):
 @pytest.mark.parametrize("effect", ["offset", "gain", "capacity", "ocv", "ohmic"])
 def test_a_diagnosis_as_a_patch_gives_the_soc_of_its_new_tables(real_data, effect):
     without, patched, full = errors(real_data, effect, diagnosed)
-    print(100 * without, 100 * patched, 100 * full)
     assert np.all(patched <= full + OF_FULL)
     assert np.all(patched <= without + OF_NONE)
     assert np.mean(patched) < np.mean(without)
@@ -131,6 +130,5 @@ def test_a_diagnosis_as_a_patch_gives_the_soc_of_its_new_tables(real_data, effec
 
 @pytest.mark.parametrize("effect", ["ohmic", "ohmic towards empty", "ocv"])
 def test_a_new_fit_as_a_patch_gives_the_soc_of_its_new_tables(real_data, effect):
-    without, patched, full = errors(real_data, effect, fitted)
-    print(100 * without, 100 * patched, 100 * full)
+    _, patched, full = errors(real_data, effect, fitted)
     assert np.all(patched <= full + OF_FULL)

@@ -47,6 +47,7 @@ uint32_t cellwise_patched_rows(const void *model, const void *from, void *x, con
                                void *out, uint32_t samples);
 uint32_t cellwise_patched_bank_rows(const void *model, const void *from, void *bank, void *of,
                                     uint32_t count, const void *in, void *out, uint32_t samples);
+void cellwise_soh_of(const void *model, void *soh, void *out);
 void cellwise_keep(void *into, const void *x, const void *newest);
 uint32_t cellwise_newest_slot(const void *first, const void *second);
 uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);

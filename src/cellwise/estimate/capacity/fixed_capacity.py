@@ -16,17 +16,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
-from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
     ERROR_V,
+    LAG,
     M_V,
     OCV_V,
     Place,
     place_now,
     read,
+    resistances_at,
+    rise,
     soc_place,
 )
 from cellwise.estimate.fixed.state import taken
@@ -37,6 +40,13 @@ class RestedSoc(NamedTuple):
 
     soc: float
     variance: float
+
+
+class DropSinceRest(NamedTuple):
+    """What a load from a rest on drops by the tables' resistances, and by the OCV's slope [V]."""
+
+    tables_V: float
+    ocv_V: float
 
 
 class Weight(NamedTuple):
@@ -60,6 +70,13 @@ def forget_share(a: Soh) -> None:
     a.share_error = 0.0
     a.off_error = 0.0
     a.refused = U(0)
+
+
+def forget_resistance(a: Soh) -> None:
+    """Nothing is known of the resistances but what is usual."""
+    a.resistance = 1.0
+    a.rr = SOH_RESISTANCE
+    a.resistance_variance = SOH_RESISTANCE
 
 
 def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
@@ -86,6 +103,7 @@ def state_variance(c: Constants, a: Soh) -> None:
 def age(c: Constants, a: Soh) -> None:
     """What has flowed may have aged the cell."""
     more = SOH_WALK * a.moved
+    a.rr = at_most(a.rr + (SOH_RESISTANCE_WALK * a.moved), SOH_RESISTANCE)
     a.qq = at_most(a.qq + more, SOH_VARIANCE)
     a.own_qq = at_most(a.own_qq + more, SOH_VARIANCE)
     state_variance(c, a)
@@ -96,6 +114,7 @@ def start_soh(m: Model, a: Soh) -> None:
     """Before the first sample: the capacity of the tables, known as that of any used cell."""
     a.share = 1.0
     forget_share(a)
+    forget_resistance(a)
     a.moved = 0.0
     a.sequence = U(0)
     begin_at_rest(a, 0.0, 0.0)
@@ -105,6 +124,9 @@ def start_soh(m: Model, a: Soh) -> None:
     a.loaded = U(0)
     a.silent = U(0)
     a.pairs = U(0)
+    a.loads = U(0)
+    a.ended = U(0)
+    a.rest_end = U(0)
     a.begun = U(0)
 
 
@@ -130,7 +152,11 @@ def soh_is_sound(a: Soh) -> bool:
         return False
     if not (not_negative(a.unsure, 1.0) and size_within(a.current_A, LARGE)):
         return False
-    return not_negative(a.voltage_V, LARGE) and not_negative(a.held_V, LARGE)
+    if not (positive_within(a.rr, VARIANCE_FLOOR, 1.0) and not_negative(a.held_V, LARGE)):
+        return False
+    if not (not_negative(a.resistance_variance, LARGE) and not_negative(a.voltage_V, LARGE)):
+        return False
+    return positive_within(a.resistance, LEAST_SCALE, MOST_SCALE)
 
 
 def soc_of_ocv(m: Model, place: Place, ocv_V: float, side: float, more_V2: float) -> float:
@@ -251,8 +277,6 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
     every pair, either way.
     """
     c = m.constant
-    if not soh_is_sound(a):
-        start_soh(m, a)
     place = place_now(m, x)
     now = rested(m, place, x, a)
     if now.variance <= SOH_SOC_VARIANCE:
@@ -267,8 +291,6 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
         far = side * apart
         if a.variance > 0.0 and far >= SOH_APART:
             use_pair(c, a, far, -(side * drift), side * a.counted, count_soc2, both_soc2)
-            if not soh_is_sound(a):
-                start_soh(m, a)
             begin_at_rest(a, now.soc, now.variance)
         elif not (a.variance > 0.0) or count_soc2 + offset_soc2 > both_soc2:
             begin_at_rest(a, now.soc, now.variance)
@@ -280,6 +302,90 @@ def moved_by(c: Constants, x: State, current_A: float) -> float:
     if HEALTH:
         used = used / x.per_capacity
     return F(used)
+
+
+def risen_after(gain: float, steps: int) -> float:
+    """How far a branch has come after so many steps."""
+    left = 1.0
+    for _ in range(steps):
+        left = left * (1.0 - gain)
+    return 1.0 - left
+
+
+@unrolled_by_option
+def drop_since_rest(
+    m: Model, place: Place, x: State, current_A: float, steps: int
+) -> DropSinceRest:
+    """What the tables' resistances drop after so many steps of a current from rest on."""
+    c = m.constant
+    points = U(m.row.shape[1])
+    z = soc_place(place, points, x.soc)
+    under = resistances_at(m, place, z, current_A)
+    ohm = under.r0_ohm
+    for i in BRANCHES:
+        gain = 1.0 / read(m, place, z.at, LAG[i], z.share) if THERE else 0.0
+        ohm = ohm + (under.r[i] * risen_after(gain, steps))
+    if HEALTH:
+        ohm = ohm / x.resistance_scale
+    slope_V = rise(m, place, z.k, OCV_V) * F(points - 1)
+    moved_V = slope_V * (moved_by(c, x, current_A) * F(steps))
+    return DropSinceRest(ohm * current_A, moved_V)
+
+
+def use_load(c: Constants, a: Soh, current_A: float, drop: DropSinceRest, voltage_V: float) -> None:
+    """A voltage under the first load after a rest: the drop since, over that of the tables.
+
+    A reading that is far off moves the estimate no further than one at the gate, so that a contact
+    that came loose is found by and by. As of the capacity, what is stated is no surer than the
+    model's own resistances.
+    """
+    per_V = 1.0 / drop.tables_V
+    shown = ((a.voltage_V - voltage_V) - drop.ocv_V) * per_V
+    volts_V2 = (c.fixed_V2 + c.fixed_V2) + (a.held_V * a.held_V)
+    amperes = c.current_variance_A2 / (current_A * current_A)
+    single = (volts_V2 * (per_V * per_V)) + ((a.resistance * a.resistance) * amperes)
+    share = c.charge_variance if current_A < 0.0 else c.share_variance
+    model = (a.resistance * a.resistance) * share
+    total = a.rr + (single + model)
+    most = root(at_most(c.gate_square * total, 4.0 * MOST_SCALE))
+    gain = a.rr / total
+    missed = clip(shown - a.resistance, -most, most)
+    a.resistance = clip(a.resistance + (gain * missed), LEAST_SCALE, MOST_SCALE)
+    a.rr = clip(a.rr - (gain * a.rr), VARIANCE_FLOOR, 1.0)
+    a.resistance_variance = at_most(a.rr + model, SOH_RESISTANCE)
+    a.loads = U(a.loads + 1)
+
+
+@noinline
+def after_rest(m: Model, x: State, a: Soh, sample: Sample) -> None:
+    """Under load after a long rest: its SOC at once, and the resistance once the current stands.
+
+    Of the first interval nobody knows how much of it was under load.
+    """
+    c = m.constant
+    if not soh_is_sound(a):
+        last = a.sequence
+        start_soh(m, a)
+        a.sequence = last
+        a.begun = U(1)
+    if a.ended == U(0):
+        end_rest(m, x, a)
+        a.ended = U(1)
+        a.rest_end = a.sequence
+    steps = U(sample.sequence - a.rest_end)
+    small = 0.1 * magnitude(x.current_A)
+    stands = size_below(x.current_A - a.current_A, small) and steps >= U(2)
+    shown = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
+    over = steps > c.soh_load_steps
+    if stands and shown and not (over or size_below(x.current_A, c.soh_load_A)):
+        place = place_now(m, x)
+        drop = drop_since_rest(m, place, x, x.current_A, steps)
+        if magnitude(drop.tables_V) >= LEAST_SPAN_V:
+            use_load(c, a, x.current_A, drop, sample.voltage_V)
+        over = True
+    if over:
+        a.voltage_V = 0.0
+        a.ended = U(0)
 
 
 def bridged(c: Constants, x: State, a: Soh, missing: int) -> float:
@@ -311,6 +417,7 @@ def keep_rested(c: Constants, x: State, a: Soh, voltage_V: float) -> None:
             held_V = held_V + x.state[i]
         a.voltage_V = voltage_V
         a.held_V = magnitude(held_V)
+        a.ended = U(0)
 
 
 def is_silent(c: Constants, x: State, a: Soh, current_A: float) -> bool:
@@ -327,21 +434,19 @@ def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
     """After each step, with its sample: count, watch for rests, and use a pair of them.
 
     A current that is missing for longer than what is bridged makes the count worthless: it begins
-    again at the next rest. Of memory that lost its content what is shown is noticed at once, the
-    rest before it is used.
+    again at the next rest. A load after a rest shows the resistance.
     """
     c = m.constant
-    shown = not_negative(a.share_variance, LARGE)
-    if not (shown and positive_within(a.share, LEAST_SHARE, MOST_SHARE)):
-        start_soh(m, a)
     elapsed = U(sample.sequence - a.sequence)
     is_loaded = not size_below(x.current_A, c.soh_rest_A)
     if a.begun == U(0):
+        if not soh_is_sound(a):
+            start_soh(m, a)
         a.begun = U(1)
         a.loaded = sample.sequence
     elif elapsed != U(0):
         if is_loaded and a.voltage_V > 0.0:
-            end_rest(m, x, a)
+            after_rest(m, x, a, sample)
         used = moved_by(c, x, x.current_A)
         if elapsed > U(1):
             used = used + bridged(c, x, a, U(elapsed - 1))
@@ -350,10 +455,20 @@ def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
         silent = is_silent(c, x, a, sample.current_A)
         if silent:
             begin_at_rest(a, 0.0, 0.0)
+            a.voltage_V = 0.0
         if silent or is_loaded:
             a.loaded = sample.sequence
-            a.voltage_V = 0.0
         elif U(sample.sequence - a.loaded) >= c.soh_steps:
             keep_rested(c, x, a, sample.voltage_V)
     a.sequence = sample.sequence
     a.current_A = x.current_A
+
+
+def soh_of(m: Model, a: Soh, out: SohOutput) -> None:
+    """What is known of the cell now; a record whose memory lost its content begins again."""
+    if not soh_is_sound(a):
+        start_soh(m, a)
+    out.share = a.share
+    out.share_variance = a.share_variance
+    out.resistance = a.resistance
+    out.resistance_variance = a.resistance_variance
