@@ -132,8 +132,9 @@ def _write(
     if exported is not None:
         from cellwise.workflows.patching import patch_for
 
+        target = exported.model, exported.stepper.tables
         try:
-            write_atomically(arguments.patch, patch_for(found, exported, arguments.generation))
+            write_atomically(arguments.patch, patch_for(found, *target, arguments.generation))
             written["patch"] = arguments.patch
         except InputError as error:  # said beside what was found
             written |= {"patch": None, "no_patch": str(error.found)}
