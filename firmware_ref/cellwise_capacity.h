@@ -130,7 +130,7 @@ static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, 
         const float side = (apart > 0.0f) ? 1.0f : -1.0f;
         const float far = side * apart;
         if ((a->variance > 0.0f) && (far >= SOH_APART)) {
-            use_pair(c, a, far, -(side * drift), side * a->counted, count_soc2, both_soc2);
+            use_pair(c, a, far, -(side * drift), -(side * a->counted), count_soc2, both_soc2);
             begin_at_rest(a, now.soc, now.variance);
         } else if (!(a->variance > 0.0f) || ((count_soc2 + offset_soc2) > both_soc2)) {
             begin_at_rest(a, now.soc, now.variance);

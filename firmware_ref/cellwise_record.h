@@ -96,7 +96,7 @@ void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a)
     a->silent = 0u;
     a->pairs = 0u;
     a->loads = 0u;
-    a->ended = 0u;
+    a->watched = 0u;
     a->rest_end = 0u;
     a->begun = 0u;
 }

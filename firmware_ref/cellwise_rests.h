@@ -82,14 +82,15 @@ static NOINLINE void after_rest(const cellwise_model *m, const cellwise_state *x
         a->sequence = last;
         a->begun = 1u;
     }
-    if (a->ended == 0u) {
+    if (a->watched == RESTED) {
         end_rest(m, x, a);
-        a->ended = 1u;
+        a->watched = FIRST_LOAD;
         a->rest_end = a->sequence;
     }
     const uint32_t steps = sample->sequence - a->rest_end;
     const float small = 0.1f * magnitude(x->current_A);
-    const bool stands = SIZE_BELOW(x->current_A - a->current_A, small) && (steps >= 2u);
+    bool stands = SIZE_BELOW(x->current_A - a->current_A, small) && (steps >= 2u);
+    stands = stands && (a->watched == FIRST_LOAD);
     const bool shown = POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V);
     bool over = steps > c->soh_load_steps;
     if (stands && shown && !(over || SIZE_BELOW(x->current_A, c->soh_load_A))) {
@@ -103,8 +104,7 @@ static NOINLINE void after_rest(const cellwise_model *m, const cellwise_state *x
         over = true;
     }
     if (over) {
-        a->voltage_V = 0.0f;
-        a->ended = 0u;
+        a->watched = 0u;
     }
 }
 
@@ -135,7 +135,7 @@ static NOINLINE void keep_rested(const cellwise_constants *c, const cellwise_sta
         const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
         a->voltage_V = voltage_V;
         a->held_V = magnitude(held_V);
-        a->ended = 0u;
+        a->watched = RESTED;
     }
 }
 
@@ -152,33 +152,33 @@ void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwis
 {
     const cellwise_constants *const c = &m->constant;
     const uint32_t elapsed = sample->sequence - a->sequence;
-    const bool is_loaded = !SIZE_BELOW(x->current_A, c->soh_rest_A);
     if (a->begun == 0u) {
         if (!soh_is_sound(a)) {
             cellwise_soh_init(m, a);
         }
         a->begun = 1u;
         a->loaded = sample->sequence;
+        a->watched = 0u;
     } else if (elapsed != 0u) {
-        if (is_loaded && (a->voltage_V > 0.0f)) {
-            after_rest(m, x, a, sample);
+        if (!SIZE_BELOW(x->current_A, c->soh_rest_A)) {
+            if (a->watched != 0u) {
+                after_rest(m, x, a, sample);
+            }
+            a->loaded = sample->sequence;
+        } else if ((sample->sequence - a->loaded) >= c->soh_steps) {
+            keep_rested(c, x, a, sample->voltage_V);
+        } else { /* as before */
         }
         float used = moved_by(c, x, x->current_A);
         if (elapsed > 1u) {
             used = used + bridged(c, x, a, elapsed - 1u);
         }
-        add(&a->counted, &a->counted_carry, -used);
+        add(&a->counted, &a->counted_carry, used);
         a->moved = a->moved + magnitude(used);
-        const bool silent = is_silent(c, x, a, sample->current_A);
-        if (silent) {
+        if (is_silent(c, x, a, sample->current_A)) {
             begin_at_rest(a, 0.0f, 0.0f);
-            a->voltage_V = 0.0f;
-        }
-        if (silent || is_loaded) {
             a->loaded = sample->sequence;
-        } else if ((sample->sequence - a->loaded) >= c->soh_steps) {
-            keep_rested(c, x, a, sample->voltage_V);
-        } else { /* as before */
+            a->watched = 0u;
         }
     } else { /* as before */
     }

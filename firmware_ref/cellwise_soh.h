@@ -1,8 +1,9 @@
 /* Capacity that is left, between rests far apart, and resistance, after one. Printed from src/cellwise/estimate by
  * `python -m cellwise.printing`; do not edit. */
 /* Where it is compiled in: cellwise_soh_step after each cellwise_step, on a record that is kept over a switch-off beside
- * the state, for the tables it was made with: cellwise_soh_init for others. As the current sensor counts it: one that
- * shows too much shows too much capacity. */
+ * the state, for the tables it was made with: cellwise_soh_init for others. What it says is asked for by
+ * cellwise_soh_of. As the current sensor counts it: one that shows too much shows too much capacity, and too little
+ * resistance. */
 #ifndef CELLWISE_SOH_H
 #define CELLWISE_SOH_H
 
@@ -26,12 +27,12 @@ typedef struct {
     float off_error;
     float soc; /* of the rest that is counted from, */
     float variance; /* its variance; 0: there is none */
-    float counted; /* SOC since */
+    float counted; /* SOC that has left since */
     float counted_carry; /* what rounding has kept from it */
     float moved; /* SOC that flowed since, either way */
     float unsure; /* variance of what flowed in gaps since */
     float current_A; /* of the last sample */
-    float voltage_V; /* last one of a long rest; 0: none */
+    float voltage_V; /* last one of a long rest */
     float held_V; /* by the branches then */
     uint32_t counted_from; /* sequence of the sample that ended it */
     uint32_t loaded; /* sequence of the last sample with a load */
@@ -39,7 +40,7 @@ typedef struct {
     float resistance; /* scale of the tables' resistances, */
     float resistance_variance; /* and its variance */
     float rr; /* that which weighs, beside the model's own error */
-    uint32_t ended; /* 1: the rest is over, its first load is watched */
+    uint32_t watched; /* 1: a long rest, 2: the first load after it */
     uint32_t rest_end; /* sequence of its last sample */
     uint32_t loads; /* after a rest that were used */
     uint32_t pairs; /* of rests that were used */

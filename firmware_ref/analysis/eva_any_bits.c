@@ -256,12 +256,22 @@ void eva_any_soh(void)
     a.counted_from = any_integer;
     a.loaded = any_integer;
     a.silent = any_integer;
+    a.resistance = any_float;
+    a.resistance_variance = any_float;
+    a.rr = any_float;
+    a.watched = any_integer;
+    a.rest_end = any_integer;
+    a.loads = any_integer;
     a.pairs = any_integer;
     a.refused = any_integer;
     a.sequence = any_integer;
     a.begun = any_integer;
     cellwise_soh_step(&cellwise_cell, &x, &a, &in);
-    /*@ assert share_in_bounds: 0.09 <= a.share <= 2.0; */
-    /*@ assert variance_is_finite: \is_finite(a.share_variance); */
+    cellwise_soh_output now;
+    cellwise_soh_of(&cellwise_cell, &a, &now);
+    /*@ assert share_in_bounds: 0.09 <= now.share <= 2.0; */
+    /*@ assert variance_is_finite: \is_finite(now.share_variance); */
+    /*@ assert resistance_in_bounds: 0.09 <= now.resistance <= 20.0; */
+    /*@ assert its_variance_is_finite: \is_finite(now.resistance_variance); */
 }
 #endif

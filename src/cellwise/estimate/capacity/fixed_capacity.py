@@ -1,4 +1,4 @@
-"""Capacity that is left, estimated on a target between two rests far apart, beside the fixed step.
+"""Capacity and resistance that a target estimates beside the fixed step, at the ends of long rests.
 
 After a long rest the voltage is the OCV, and the OCV gives the SOC whatever the capacity is. What
 was counted between two such rests is the SOC between them times the share of the model's capacity
@@ -9,6 +9,10 @@ that is left, less what a current sensor that is off has taken over the time:
 Both unknowns are followed by a filter of two states. Where the table of the OCV is off it is off at
 the next rest there, too: no number of rests averages that out. What such an error has moved is
 carried beside the covariance (consider covariance; Schmidt 1966, p. 293).
+
+The first load after such a rest, once it stands still, drops the voltage from there by what the
+tables' resistances drop times their scale: no filter's state is in it, and the sensor's offset is
+in both voltages.
 """
 
 from __future__ import annotations
@@ -125,7 +129,7 @@ def start_soh(m: Model, a: Soh) -> None:
     a.silent = U(0)
     a.pairs = U(0)
     a.loads = U(0)
-    a.ended = U(0)
+    a.watched = U(0)
     a.rest_end = U(0)
     a.begun = U(0)
 
@@ -290,7 +294,7 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
         side = 1.0 if apart > 0.0 else -1.0
         far = side * apart
         if a.variance > 0.0 and far >= SOH_APART:
-            use_pair(c, a, far, -(side * drift), side * a.counted, count_soc2, both_soc2)
+            use_pair(c, a, far, -(side * drift), -(side * a.counted), count_soc2, both_soc2)
             begin_at_rest(a, now.soc, now.variance)
         elif not (a.variance > 0.0) or count_soc2 + offset_soc2 > both_soc2:
             begin_at_rest(a, now.soc, now.variance)
@@ -368,13 +372,14 @@ def after_rest(m: Model, x: State, a: Soh, sample: Sample) -> None:
         start_soh(m, a)
         a.sequence = last
         a.begun = U(1)
-    if a.ended == U(0):
+    if a.watched == RESTED:
         end_rest(m, x, a)
-        a.ended = U(1)
+        a.watched = FIRST_LOAD
         a.rest_end = a.sequence
     steps = U(sample.sequence - a.rest_end)
     small = 0.1 * magnitude(x.current_A)
     stands = size_below(x.current_A - a.current_A, small) and steps >= U(2)
+    stands = stands and a.watched == FIRST_LOAD
     shown = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
     over = steps > c.soh_load_steps
     if stands and shown and not (over or size_below(x.current_A, c.soh_load_A)):
@@ -384,8 +389,7 @@ def after_rest(m: Model, x: State, a: Soh, sample: Sample) -> None:
             use_load(c, a, x.current_A, drop, sample.voltage_V)
         over = True
     if over:
-        a.voltage_V = 0.0
-        a.ended = U(0)
+        a.watched = U(0)
 
 
 def bridged(c: Constants, x: State, a: Soh, missing: int) -> float:
@@ -417,7 +421,7 @@ def keep_rested(c: Constants, x: State, a: Soh, voltage_V: float) -> None:
             held_V = held_V + x.state[i]
         a.voltage_V = voltage_V
         a.held_V = magnitude(held_V)
-        a.ended = U(0)
+        a.watched = RESTED
 
 
 def is_silent(c: Constants, x: State, a: Soh, current_A: float) -> bool:
@@ -438,28 +442,28 @@ def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
     """
     c = m.constant
     elapsed = U(sample.sequence - a.sequence)
-    is_loaded = not size_below(x.current_A, c.soh_rest_A)
     if a.begun == U(0):
         if not soh_is_sound(a):
             start_soh(m, a)
         a.begun = U(1)
         a.loaded = sample.sequence
+        a.watched = U(0)
     elif elapsed != U(0):
-        if is_loaded and a.voltage_V > 0.0:
-            after_rest(m, x, a, sample)
-        used = moved_by(c, x, x.current_A)
-        if elapsed > U(1):
-            used = used + bridged(c, x, a, U(elapsed - 1))
-        a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
-        a.moved = a.moved + magnitude(used)
-        silent = is_silent(c, x, a, sample.current_A)
-        if silent:
-            begin_at_rest(a, 0.0, 0.0)
-            a.voltage_V = 0.0
-        if silent or is_loaded:
+        if not size_below(x.current_A, c.soh_rest_A):
+            if a.watched != U(0):
+                after_rest(m, x, a, sample)
             a.loaded = sample.sequence
         elif U(sample.sequence - a.loaded) >= c.soh_steps:
             keep_rested(c, x, a, sample.voltage_V)
+        used = moved_by(c, x, x.current_A)
+        if elapsed > U(1):
+            used = used + bridged(c, x, a, U(elapsed - 1))
+        a.counted, a.counted_carry = add(a.counted, a.counted_carry, used)
+        a.moved = a.moved + magnitude(used)
+        if is_silent(c, x, a, sample.current_A):
+            begin_at_rest(a, 0.0, 0.0)
+            a.loaded = sample.sequence
+            a.watched = U(0)
     a.sequence = sample.sequence
     a.current_A = x.current_A
 
