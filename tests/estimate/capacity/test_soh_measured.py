@@ -114,8 +114,8 @@ def full_soc(model, log):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="0.873, 0.054 stated: 2.3 deviations: the fit's OCV at the second rest, 3.391 for 3.237 V, "
-    "is 3.1 of the deviations that the fit states there",
+    reason="0.873, 0.054 stated: 2.3 deviations: the fit's OCV at the second rest, 3.391 for "
+    "3.237 V, is off by 3.1 of the deviations that the fit states there",
 )
 def test_a_plateau_in_a_table_makes_no_share(real_data):
     """Panasonic: a fit of one temperature is flat from 0.03 to 0.14 SOC, and states its error."""
@@ -186,7 +186,7 @@ def test_a_hidden_resistance_is_found_in_measured_pulses(real_data, name):
 
 
 def test_the_resistance_of_an_ageing_cell_grows_as_its_own_first_drop(life, real_data):
-    """Of the discharge after an hour of rest: the drop over the current 10 to 20 s from its start."""
+    """Of the discharge after an hour of rest: drop over current from 10 s after its start on."""
     estimator = estimator_of(identified_samsung(real_data))
     shown, found = [], []
     for log, _ in life:
