@@ -15,6 +15,7 @@ from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.status import VOLTAGE_FROZEN
 from cellwise.export.firmware import HostLibrary
 from cellwise.export.patch import BLOCK, Patch, patch_between, patch_of, patched_rows, taken
 from cellwise.logs import CellLog
@@ -279,3 +280,21 @@ def test_parameters_alone_become_a_patch_too():
     np.testing.assert_allclose(patch.shift_V, shift_V + 0.004)
     with pytest.raises(InputError, match="lithium_inventory"):
         patch_of({"lithium_inventory": {"lithium_loss": 0.1}}, cell, 2)
+
+
+def test_a_frozen_voltage_is_found_beside_a_shift_that_moves_with_the_soc():
+    """What is taken off a voltage that stands still moves with the SOC: less than last digits."""
+    cell = curved_cell()
+    made = fixed_step_tables(cell, 1.0, health=True)
+    seen = samples(1500)
+    seen["sequence"] = np.arange(seen.size)
+    seen["voltage_V"] = 3.7 - 0.03 * seen["current_A"]
+    seen["voltage_V"][700:1200] = seen["voltage_V"][700]
+    steep = Patch(1, shift_V=np.linspace(-0.1, 0.1, 9))
+    stepper = numba_stepper(made)
+    plain = stepper.filter_rows(stepper.start_filter(9, 0.6, 0.1), seen)
+    memory = stepper.start_filter(9, 0.6, 0.1)
+    patched = patched_rows(stepper, taken(steep.block(made), made), memory, seen)
+    found = [(out["status"] & VOLTAGE_FROZEN != 0)[700:1200].mean() for out in (plain, patched)]
+    assert found[0] > 0.9
+    assert found[1] > 0.9 * found[0]

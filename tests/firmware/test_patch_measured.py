@@ -23,7 +23,7 @@ from cellwise.export.patch import HELD, patch_between, patch_of, patched_rows, t
 from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import CellLog
 from cellwise.logs.cell_log import resample
-from measured_models import identify_once, rmse
+from measured_models import identified_samsung, identify_once, rmse, samsung_log
 
 pytestmark = [
     pytest.mark.slow,
@@ -31,6 +31,7 @@ pytestmark = [
 ]
 SEEN, JUDGED = ("nn", "hwfta"), ("us06", "hwftb", "cycle_4")
 STARTS = ((1.0, 0.02, 0.0), (0.85, 0.15, 0.2))  # SOC, its deviation, share of the log not judged
+SETTLED = 600  # rows before which a filter finds its start
 OF_FULL, OF_NONE = 0.003, 0.002  # the issue's: of what new tables give, of what no patch gives
 SHIFT_V = (0.0, -0.02, -0.035, -0.03, -0.01, 0.01, 0.02, 0.01, 0.0)
 
@@ -103,9 +104,9 @@ def errors(folder, effect, found):
     return np.array(rows).T
 
 
-def diagnosed(model, logs):
+def diagnosed(model, logs, soc0=1.0):
     warm = np.concatenate([log.temperature_C for log in logs])
-    found = diagnose(model, logs[:1], holdout=logs[1:], soc0=1.0)
+    found = diagnose(model, logs[:1], holdout=logs[1:], soc0=soc0)
     causes = {c.name: c.parameters for c in found.causes}
     new = found.extended_model or model
     patch = patch_of(causes, model, 1, new, (float(warm.min()), float(warm.max())))
@@ -132,3 +133,34 @@ def test_a_diagnosis_as_a_patch_gives_the_soc_of_its_new_tables(real_data, effec
 def test_a_new_fit_as_a_patch_gives_the_soc_of_its_new_tables(real_data, effect):
     _, patched, full = errors(real_data, effect, fitted)
     assert np.all(patched <= full + OF_FULL)
+
+
+@pytest.mark.parametrize("cycle", [401, 431])
+def test_an_aged_cell_as_a_patch_gives_the_soc_of_its_new_tables(real_data, cycle):
+    """Samsung 30Q after so many cycles, tables of new cells; judged 10 and 20 cycles later.
+
+    The truth is counted from full over what the discharge to 2.5 V then gives.
+    """
+    model = identified_samsung(real_data)
+
+    def life(number):
+        return resample(samsung_log(real_data, f"d1_cellA_cycle{number:03d}"), 1.0)
+
+    patch, new, sensors = diagnosed(model, [life(cycle)], soc0=None)
+    assert not sensors
+    errors = []
+    for later in (10, 20):
+        log = life(cycle + later)
+        left_Ah = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
+        soc = 1.0 - (left_Ah - left_Ah.min()) / np.ptp(left_Ah)
+        for off, std in ((0.0, 0.02), (0.15, 0.15)):
+            start = float(np.clip(soc[0] + off, 0.0, 1.0))
+            runs = (
+                soc_of(model, log, start, std),
+                soc_of(model, log, start, std, patch),
+                soc_of(new, log, start, std),
+            )
+            errors.append([rmse((run - soc)[SETTLED:]) for run in runs])
+    without, patched, full = np.array(errors).T
+    assert np.all(patched <= full + OF_FULL)
+    assert np.all(patched < 0.75 * without)
