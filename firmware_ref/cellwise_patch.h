@@ -17,6 +17,9 @@
 #define MOST_C 100.0f /* no cell is so warm, or as far from 20 degC */
 #define LEAST_C -60.0f
 #define MOST_PER_K 1.0f /* nearer rows would magnify what a temperature is off by */
+#ifndef WITHIN /* as in cellwise_float.h: a NaN is beyond every bound */
+#define WITHIN(x, low, high) (((x) >= (low)) && ((x) <= (high)))
+#endif
 
 static uint32_t crc_of_patch(const cellwise_patch *patch)
 {
@@ -44,29 +47,23 @@ static void neutral_patch(cellwise_patch *taken, uint32_t generation)
     taken->crc = crc_of_patch(taken);
 }
 
-/* A NaN is beyond every bound. */
-static bool is_from_to(float value, float least, float most)
-{
-    return (value >= least) && (value <= most);
-}
-
 /* An offset is less than what is assumed of a current that nobody measures. */
 static bool is_sensor(const cellwise_model *m, const cellwise_patch *from)
 {
     const bool is_offset = (from->offset_A * from->offset_A) <= m->constant.lost_A2;
-    return is_from_to(from->per_gain, LEAST_PER_GAIN, MOST_PER_GAIN) && is_offset;
+    return WITHIN(from->per_gain, LEAST_PER_GAIN, MOST_PER_GAIN) && is_offset;
 }
 
 static bool is_cell(const cellwise_patch *from)
 {
-    bool found = is_from_to(from->per_capacity, LEAST_PER_CAPACITY, MOST_PER_CAPACITY) &&
-        is_from_to(from->cold_C, LEAST_C, MOST_C) && is_from_to(from->per_K, 0.0f, MOST_PER_K);
+    bool found = WITHIN(from->per_capacity, LEAST_PER_CAPACITY, MOST_PER_CAPACITY) &&
+        WITHIN(from->cold_C, LEAST_C, MOST_C) && WITHIN(from->per_K, 0.0f, MOST_PER_K);
     for (uint32_t k = 0u; k < CELLWISE_PATCH_KNOTS; k++) {
-        found = found && is_from_to(from->resistance[0][k], LEAST_RESISTANCE, MOST_RESISTANCE) &&
-            is_from_to(from->resistance[1][k], LEAST_RESISTANCE, MOST_RESISTANCE);
+        found = found && WITHIN(from->resistance[0][k], LEAST_RESISTANCE, MOST_RESISTANCE) &&
+            WITHIN(from->resistance[1][k], LEAST_RESISTANCE, MOST_RESISTANCE);
     }
     for (uint32_t k = 0u; k < CELLWISE_PATCH_SHIFTS; k++) {
-        found = found && is_from_to(from->shift_V[k], -MOST_SHIFT_V, MOST_SHIFT_V);
+        found = found && WITHIN(from->shift_V[k], -MOST_SHIFT_V, MOST_SHIFT_V);
     }
     return found;
 }
@@ -107,8 +104,14 @@ void cellwise_undo_patch(cellwise_patch *taken)
 /* Within a range; what is no number at its lower end. */
 static float held_in(float value, float least, float most)
 {
-    const float above = (value > least) ? value : least;
-    return (above < most) ? above : most;
+    float found = least;
+    if (WITHIN(value, least, most)) {
+        found = value;
+    } else if (value > most) {
+        found = most;
+    } else { /* below, or none */
+    }
+    return found;
 }
 
 /* A line between even knots over SOC, which is within 0..1. */

@@ -222,6 +222,34 @@ void eva_any_cells(void)
 }
 #endif
 
+#if CELLWISE_HEALTH
+#include "cellwise_store.c"
+
+void eva_any_patch(void)
+{
+    cellwise_state x;
+    cellwise_input in;
+    cellwise_patch taken;
+    float *const field = (float *)&taken;
+    /*@ loop unroll sizeof(taken) / sizeof(float); */
+    for (uint32_t k = 0u; k < (sizeof taken / sizeof(float)); k++) {
+        field[k] = any_float;
+    }
+    taken.generation = any_integer;
+    taken.model_crc = any_integer;
+    any_state(&x);
+    x.resistance_scale = 1.0f;
+    x.per_capacity = 1.0f;
+    in.current_A = any_float;
+    in.voltage_V = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    cellwise_patch_sample(&taken, &x, 1u, &in);
+    /*@ assert scale_in_bounds: 0.09 <= x.resistance_scale <= 20.0; */
+    /*@ assert share_in_bounds: 0.5 <= x.per_capacity <= 10.0; */
+}
+#endif
+
 #if CELLWISE_SOH
 void eva_any_soh(void)
 {
