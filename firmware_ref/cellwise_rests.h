@@ -139,13 +139,13 @@ static NOINLINE void keep_rested(const cellwise_constants *c, const cellwise_sta
     }
 }
 
-/* Whether nobody knows what flows. */
-static bool is_silent(const cellwise_constants *c, const cellwise_state *x, const cellwise_soh *a, float current_A)
+/* For how many steps nobody knows what flows. */
+static uint32_t silence(const cellwise_constants *c, const cellwise_state *x, const cellwise_soh *a, float current_A)
 {
+    (void)c;
     (void)a;
     (void)current_A;
-    const bool silent = x->no_current > c->gap_steps;
-    return silent;
+    return x->no_current;
 }
 
 void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a, const cellwise_input *sample)
@@ -175,7 +175,7 @@ void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwis
         }
         add(&a->counted, &a->counted_carry, used);
         a->moved = a->moved + magnitude(used);
-        if (is_silent(c, x, a, sample->current_A)) {
+        if (silence(c, x, a, sample->current_A) > c->gap_steps) {
             begin_at_rest(a, 0.0f, 0.0f);
             a->loaded = sample->sequence;
             a->watched = 0u;

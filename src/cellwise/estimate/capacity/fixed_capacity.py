@@ -424,14 +424,11 @@ def keep_rested(c: Constants, x: State, a: Soh, voltage_V: float) -> None:
         a.watched = RESTED
 
 
-def is_silent(c: Constants, x: State, a: Soh, current_A: float) -> bool:
-    """Whether nobody knows what flows."""
-    if WIDE:
-        silent = x.no_current > c.gap_steps
-    else:
+def silence(c: Constants, x: State, a: Soh, current_A: float) -> int:
+    """For how many steps nobody knows what flows."""
+    if not WIDE:
         a.silent = U(0) if size_within(current_A, c.current_limit_A) else U(a.silent + 1)
-        silent = a.silent > c.gap_steps
-    return silent
+    return U(x.no_current) if WIDE else U(a.silent)
 
 
 def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
@@ -460,7 +457,7 @@ def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
             used = used + bridged(c, x, a, U(elapsed - 1))
         a.counted, a.counted_carry = add(a.counted, a.counted_carry, used)
         a.moved = a.moved + magnitude(used)
-        if is_silent(c, x, a, sample.current_A):
+        if silence(c, x, a, sample.current_A) > c.gap_steps:
             begin_at_rest(a, 0.0, 0.0)
             a.loaded = sample.sequence
             a.watched = U(0)
