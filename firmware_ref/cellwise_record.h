@@ -11,12 +11,6 @@ typedef struct {
     float variance;
 } cellwise_restedsoc;
 
-/* What a load from a rest on drops by the tables' resistances, and by the OCV's slope [V]. */
-typedef struct {
-    float tables_V;
-    float ocv_V;
-} cellwise_dropsincerest;
-
 /* Of a pair of rests for the share and the offset; `total` is the variance of its count. */
 typedef struct {
     float total;

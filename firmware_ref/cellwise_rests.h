@@ -5,6 +5,12 @@
 
 #include "cellwise_capacity.h"
 
+/* What a load from a rest on drops by the tables' resistances, and by the OCV's slope [V]. */
+typedef struct {
+    float tables_V;
+    float ocv_V;
+} cellwise_dropsincerest;
+
 /* SOC of the tables' capacity that a current takes in one step. */
 static float moved_by(const cellwise_constants *c, const cellwise_state *x, float current_A)
 {

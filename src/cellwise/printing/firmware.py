@@ -115,7 +115,7 @@ FIRST = {
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "record",
-    "soc_of_ocv": "capacity", "moved_by": "rests",
+    "soc_of_ocv": "capacity", "fixed_rests.py": "rests",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
