@@ -106,8 +106,12 @@
 #define SINCE_MOST 0x1.dcd65p+29f /* 1e+09: steps, until the past is looked at */
 #define SOH_VARIANCE 0x1.70a3d8p-6f /* 0.0225: of a used cell's share of capacity: 0.15, half of what a life takes */
 #define SOH_WALK 0x1.4f8b58p-17f /* 1e-05: and per SOC that flows: 0.1 over 500 cycles of two each */
+#define SOH_RESISTANCE 0.25f /* of a used cell's resistances: 0.5, half of what a life adds, */
+#define SOH_RESISTANCE_WALK 0x1.0624dep-12f /* 0.00025: and per SOC that flows: 0.5 over 500 cycles of two each */
 #define SOH_APART 0x1.333334p-2f /* 0.3: SOC between two rests of a pair */
 #define SOH_SOC_VARIANCE 0x1.47ae14p-9f /* 0.0025: an OCV that says the SOC no better than to 0.05 is none */
+#define RESTED 1u /* what is watched: a long rest, the load after it */
+#define FIRST_LOAD 2u /* what is watched: a long rest, the load after it */
 #define SOH_REFUSED 3u /* pairs in a row beyond the gate, then the estimate begins again */
 
 /* Whether two numbers are the same. */

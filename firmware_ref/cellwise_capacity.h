@@ -3,100 +3,7 @@
 #ifndef CELLWISE_CAPACITY_H
 #define CELLWISE_CAPACITY_H
 
-#include "cellwise_pack_power.h"
-
-/* SOC of a cell at rest by its OCV, and the variance of that. */
-typedef struct {
-    float soc;
-    float variance;
-} cellwise_restedsoc;
-
-/* Of a pair of rests for the share and the offset; `total` is the variance of its count. */
-typedef struct {
-    float total;
-    float share;
-    float off;
-} cellwise_weight;
-
-/* Nothing is known of the capacity, nor of an offset, but what is usual. */
-static void forget_share(cellwise_soh *a)
-{
-    a->share_variance = SOH_VARIANCE;
-    a->off = 0.0f;
-    a->qq = SOH_VARIANCE;
-    a->qo = 0.0f;
-    a->oo = CHANCE;
-    a->own_qq = SOH_VARIANCE;
-    a->own_qo = 0.0f;
-    a->own_oo = CHANCE;
-    a->share_error = 0.0f;
-    a->off_error = 0.0f;
-    a->refused = 0u;
-}
-
-/* Count from a rest; a variance of 0: from none. */
-static void begin_at_rest(cellwise_soh *a, float soc, float variance)
-{
-    a->soc = soc;
-    a->variance = variance;
-    a->counted = 0.0f;
-    a->counted_carry = 0.0f;
-    a->unsure = 0.0f;
-    a->steps = 0u;
-}
-
-/* What is stated of the share: beside the pairs' error, that of the OCV and of the model. The model's capacity is
- * that of another sample: by as much a share of it may be none of what this cell had when it was new, however many
- * pairs there are. */
-static void state_variance(const cellwise_constants *c, cellwise_soh *a)
-{
-    const float model = a->share * c->soh_capacity;
-    const float error = a->own_qq + ((a->share_error * a->share_error) + (model * model));
-    a->share_variance = at_most(error, SOH_VARIANCE);
-}
-
-/* What has flowed may have aged the cell. */
-static void age(const cellwise_constants *c, cellwise_soh *a)
-{
-    const float more = SOH_WALK * a->moved;
-    a->qq = at_most(a->qq + more, SOH_VARIANCE);
-    a->own_qq = at_most(a->own_qq + more, SOH_VARIANCE);
-    state_variance(c, a);
-    a->moved = 0.0f;
-}
-
-void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a)
-{
-    (void)m;
-    a->share = 1.0f;
-    forget_share(a);
-    a->moved = 0.0f;
-    begin_at_rest(a, 0.0f, 0.0f);
-    a->current_A = 0.0f;
-    a->voltage_V = 0.0f;
-    a->held_V = 0.0f;
-    a->rest = 0u;
-    a->silent = 0u;
-    a->pairs = 0u;
-    a->sequence = 0u;
-    a->begun = 0u;
-}
-
-/* Every number in its range: memory that lost its content, or was never set, is noticed. */
-static bool soh_is_sound(const cellwise_soh *a)
-{
-    if (!POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE)) { return false; }
-    if (!(NOT_NEGATIVE(a->share_variance, LARGE) && SIZE_WITHIN(a->off, REACH_MOST))) { return false; }
-    if (!(POSITIVE_WITHIN(a->qq, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->qo, 1.0f))) { return false; }
-    if (!(POSITIVE_WITHIN(a->oo, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->share_error, REACH_MOST))) { return false; }
-    if (!(POSITIVE_WITHIN(a->own_qq, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->own_qo, 1.0f))) { return false; }
-    if (!POSITIVE_WITHIN(a->own_oo, VARIANCE_FLOOR, 1.0f)) { return false; }
-    if (!(SIZE_WITHIN(a->off_error, REACH_MOST) && NOT_NEGATIVE(a->soc, 1.0f))) { return false; }
-    if (!(NOT_NEGATIVE(a->variance, 1.0f) && SIZE_WITHIN(a->counted, REACH_MOST))) { return false; }
-    if (!(SIZE_WITHIN(a->counted_carry, CARRY_MOST) && NOT_NEGATIVE(a->moved, SINCE_MOST))) { return false; }
-    if (!(NOT_NEGATIVE(a->unsure, 1.0f) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
-    return NOT_NEGATIVE(a->voltage_V, LARGE) && NOT_NEGATIVE(a->held_V, LARGE);
-}
+#include "cellwise_record.h"
 
 /* Where the OCV has a voltage, within 0..1: halved down to a millionth. With a `side` of 1 or -1 the OCV is higher
  * or lower by the deviation that the model states there, and `more_V2`. */
@@ -208,16 +115,13 @@ static void use_pair(const cellwise_constants *c, cellwise_soh *a, float far, fl
 static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a)
 {
     const cellwise_constants *const c = &m->constant;
-    if (!soh_is_sound(a)) {
-        cellwise_soh_init(m, a);
-    }
     cellwise_place place;
     place_now(m, x, &place);
     cellwise_restedsoc now;
     rested(m, &place, x, a, &now);
     if (now.variance <= SOH_SOC_VARIANCE) {
         age(c, a);
-        const float steps = (float)a->steps;
+        const float steps = (float)(a->sequence - a->counted_from);
         const float drift = steps * c->soh_drift;
         const float both_soc2 = a->variance + now.variance;
         const float count_soc2 = a->unsure + (steps * c->soc_walk);
@@ -226,10 +130,7 @@ static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, 
         const float side = (apart > 0.0f) ? 1.0f : -1.0f;
         const float far = side * apart;
         if ((a->variance > 0.0f) && (far >= SOH_APART)) {
-            use_pair(c, a, far, -(side * drift), side * a->counted, count_soc2, both_soc2);
-            if (!soh_is_sound(a)) {
-                cellwise_soh_init(m, a);
-            }
+            use_pair(c, a, far, -(side * drift), -(side * a->counted), count_soc2, both_soc2);
             begin_at_rest(a, now.soc, now.variance);
         } else if (!(a->variance > 0.0f) || ((count_soc2 + offset_soc2) > both_soc2)) {
             begin_at_rest(a, now.soc, now.variance);

@@ -30,5 +30,6 @@
 #include "cellwise_plan.h"
 #include "cellwise_cells.h"
 #include "cellwise_pack_power.h"
+#include "cellwise_record.h"
 #include "cellwise_capacity.h"
 #include "cellwise_rests.h"

@@ -7,11 +7,13 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* What few steps need is kept out of the others' registers and stack. */
+/* What few steps need is kept out of the others' registers and stack; what every step needs is no call. */
 #if defined(__GNUC__) && !defined(__FRAMAC__)
 #define NOINLINE __attribute__((noinline))
+#define INLINED inline __attribute__((always_inline))
 #else
 #define NOINLINE
+#define INLINED
 #endif
 
 /* False for NaN too. Macros, so that what is tested is known of the object itself afterwards, to

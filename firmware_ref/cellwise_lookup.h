@@ -6,8 +6,8 @@
 #include "cellwise_place.h"
 
 /* Resistances by temperature, age and current. */
-static void resistances_at(const cellwise_model *m, const cellwise_place *place, const cellwise_socplace *z,
-                           float current, cellwise_loaded *loaded)
+static INLINED void resistances_at(const cellwise_model *m, const cellwise_place *place, const cellwise_socplace *z,
+                                   float current, cellwise_loaded *loaded)
 {
     const cellwise_row *const low = m->row[place->low];
     const cellwise_row *const high = m->row[place->low + 1u];

@@ -128,6 +128,8 @@ typedef struct {
     float soh_rest_A; /* below it a cell rests, to millivolts, */
     uint32_t soh_steps; /* and after so many steps its voltage is the OCV */
     float soh_capacity; /* by what share of the model's a cell's may differ when new */
+    float soh_load_A; /* of a load that shows the resistance, at least, */
+    uint32_t soh_load_steps; /* within so many steps after a rest */
     float soh_drift; /* SOC that an offset of one deviation takes in one step */
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
     float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */

@@ -103,33 +103,39 @@ uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwis
 #define CELLWISE_OLD_PATCH 32u
 #define CELLWISE_BEYOND_BOUNDS 64u
 
+#define CELLWISE_PATCH_KNOTS 5u /* of resistances over SOC, evenly from 0 to 1, */
+#define CELLWISE_PATCH_SHIFTS 9u /* and of the OCV's shift */
+
 /* What is known of one cell and its current sensor beside the tables; `cellwise.export.patch` writes it. */
 typedef struct {
     uint32_t magic;
     uint32_t layout;
     uint32_t model_crc; /* of the tables that it corrects */
     uint32_t generation; /* 0: none was taken; a later block has a larger one */
-    float capacity_share;
-    float resistance_scale;
+    float per_capacity; /* inverse of the share of the capacity that is left */
     float offset_A; /* what the sensor shows without a current */
     float per_gain; /* amperes that flow for each that it shows beside the offset */
+    float cold_C; /* temperature of the first row of resistances, */
+    float per_K; /* and 1 / the way from there to the second */
+    float resistance[2][CELLWISE_PATCH_KNOTS]; /* factors on all resistances, cold and warm */
+    float shift_V[CELLWISE_PATCH_SHIFTS]; /* of the OCV */
     uint32_t crc; /* of everything before */
 } cellwise_patch;
 
-/* Begin without a patch; `taken` stays beside the state. */
+/* Begin without a patch; `taken` is kept beside the state. */
 void cellwise_no_patch(cellwise_patch *taken);
 
-/* Take a block for all steps that follow; `taken` itself again after cellwise_init, cellwise_restore and a step that
- * says CELLWISE_STATE_RESET. 0, or why it was refused: then state and `taken` are as they were. */
-uint32_t cellwise_take_patch(const cellwise_model *m, cellwise_state *x, cellwise_patch *taken,
-                             const cellwise_patch *from);
+/* Take a block for all steps that follow: 0, or why it was refused, and then `taken` is as it was. */
+uint32_t cellwise_take_patch(const cellwise_model *m, cellwise_patch *taken, const cellwise_patch *from);
 
-/* Back to the tables as they were made. Generation stays: the same block is not taken again. 0, or
- * CELLWISE_BEYOND_BOUNDS where the state is not sound. */
-uint32_t cellwise_undo_patch(const cellwise_model *m, cellwise_state *x, cellwise_patch *taken);
+/* Back to the tables as they were made. Generation stays: the same block is not taken again. */
+void cellwise_undo_patch(cellwise_patch *taken);
 
-/* Current for cellwise_input, of what the sensor shows. */
-float cellwise_patched_current(const cellwise_patch *taken, float current_A);
+/* Before each step, with its sample: of what the sensors show what they would show of the tables' own cell, and in
+ * the states capacity and resistances at their SOC and temperature. `count` states are stepped: 1, or all of a bank
+ * whose `spread` is 1. Nothing without a patch, nor with one of other tables. A state that was restored or reset
+ * needs no more. */
+void cellwise_patch_sample(const cellwise_patch *taken, cellwise_state *x, uint32_t count, cellwise_input *sample);
 #endif
 
 #ifdef __cplusplus

@@ -222,6 +222,34 @@ void eva_any_cells(void)
 }
 #endif
 
+#if CELLWISE_HEALTH
+#include "cellwise_store.c"
+
+void eva_any_patch(void)
+{
+    cellwise_state x;
+    cellwise_input in;
+    cellwise_patch taken;
+    float *const field = (float *)&taken;
+    /*@ loop unroll sizeof(taken) / sizeof(float); */
+    for (uint32_t k = 0u; k < (sizeof taken / sizeof(float)); k++) {
+        field[k] = any_float;
+    }
+    taken.generation = any_integer;
+    taken.model_crc = any_integer;
+    any_state(&x);
+    x.resistance_scale = 1.0f;
+    x.per_capacity = 1.0f;
+    in.current_A = any_float;
+    in.voltage_V = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    cellwise_patch_sample(&taken, &x, 1u, &in);
+    /*@ assert scale_in_bounds: 0.09 <= x.resistance_scale <= 20.0; */
+    /*@ assert share_in_bounds: 0.5 <= x.per_capacity <= 10.0; */
+}
+#endif
+
 #if CELLWISE_SOH
 void eva_any_soh(void)
 {
@@ -253,15 +281,25 @@ void eva_any_soh(void)
     a.current_A = any_float;
     a.voltage_V = any_float;
     a.held_V = any_float;
-    a.steps = any_integer;
-    a.rest = any_integer;
+    a.counted_from = any_integer;
+    a.loaded = any_integer;
     a.silent = any_integer;
+    a.resistance = any_float;
+    a.resistance_variance = any_float;
+    a.rr = any_float;
+    a.watched = any_integer;
+    a.rest_end = any_integer;
+    a.loads = any_integer;
     a.pairs = any_integer;
     a.refused = any_integer;
     a.sequence = any_integer;
     a.begun = any_integer;
     cellwise_soh_step(&cellwise_cell, &x, &a, &in);
-    /*@ assert share_in_bounds: 0.09 <= a.share <= 2.0; */
-    /*@ assert variance_is_finite: \is_finite(a.share_variance); */
+    cellwise_soh_output now;
+    cellwise_soh_of(&cellwise_cell, &a, &now);
+    /*@ assert share_in_bounds: 0.09 <= now.share <= 2.0; */
+    /*@ assert variance_is_finite: \is_finite(now.share_variance); */
+    /*@ assert resistance_in_bounds: 0.09 <= now.resistance <= 20.0; */
+    /*@ assert its_variance_is_finite: \is_finite(now.resistance_variance); */
 }
 #endif

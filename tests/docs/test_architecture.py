@@ -264,8 +264,8 @@ COMPUTING = {"cell", "estimate", "export", "fit", "forecast", "live", "printing"
 # Functions of these that a command calls by itself: files, names, settings, lines and words.
 OF_A_COMMAND = {
     "assumed_text", "check_cells_in_series", "check_soc0", "is_plan", "list_stock",
-    "make_estimator", "named_model", "plan_of_log", "power_settings", "read_model", "read_plan",
-    "read_sensor", "seen_by", "state_row", "write_model",
+    "make_estimator", "named_model", "plan_of_log", "power_settings", "read_model", "read_patch",
+    "read_plan",    "read_sensor", "seen_by", "state_row", "write_model",
 }  # fmt: skip
 
 

@@ -46,7 +46,7 @@ MUTANTS = {
 # States are kept apart where the sentences after them depend on it; elsewhere they are joined.
 PRECISION = ["-eva-precision", "1", "-eva-split-return", "full"]
 APART = "is_sound:900,covariance_is_sound:400,see:200,count_charge:200,cellwise_step:200"
-OF_SOH = ",soh_is_sound:400,cellwise_soh_step:200,end_rest:200"
+OF_SOH = ",soh_is_sound:900,cellwise_soh_step:200,end_rest:200,cellwise_soh_of:900"
 OF_CELLS = ",cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_step:60"
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {
@@ -67,6 +67,7 @@ BESIDE = {
     "power": {**LEAN, "power": power_asked(curved_cell(5))},
     "cells": {**LEAN, "health": True, "cells": CellSettings()},
     "soh": {**LEAN, "soh": True},
+    "patch": {**LEAN, "health": True},
     "remaining": {**LEAN, "remaining_V": cutoff_asked(curved_cell(5))},
 }
 # What is entered with any bits, and the build that it is in.
@@ -80,6 +81,7 @@ PROVED = [
     ("eva_any_plan", "remaining"),
     ("eva_any_cells", "cells"),
     ("eva_any_soh", "soh"),
+    ("eva_any_patch", "patch"),
 ]
 
 

@@ -11,6 +11,7 @@ from cellwise.data import load_dataset
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import CELL, state_type
 from cellwise.estimate.fixed.stepper import numba_stepper
+from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.accuracy import worst_case
 from cellwise.export.cross import CORES, has_tools, run_on_target
 from cellwise.logs.cell_log import resample
@@ -84,6 +85,19 @@ def test_stress_samples_stay_within_the_bound_of_instructions(core, instructions
     assert run.measured == 4000
     assert run.instructions_most <= instructions
     assert worst_case(curved_cell(), tables_of("lean"), core).stress <= instructions
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wide", [False, True], ids=["lean", "plain"])
+def test_capacity_and_resistance_cost_at_most_15_percent_of_a_step(wide):
+    tables = fixed_step_tables(curved_cell(), 1.0, wide=wide, soh=True)
+    step, beside = (
+        run_on_target(
+            tables, "cortex-m4f", drive_samples(5000), 0.9, 1e-4, measure_every=10, of=of
+        ).cost
+        for of in ("step", "soh")
+    )
+    assert 20 < beside.instructions_mean <= 0.15 * step.instructions_mean
 
 
 def pack_voltages(samples, cells):

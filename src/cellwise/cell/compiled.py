@@ -101,6 +101,12 @@ def noinline(function: Callable[P, R]) -> Callable[P, R]:
     return function
 
 
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Mark what every fixed step needs: no call there, whoever else calls it."""
+    function.inlined = True  # type: ignore[attr-defined]
+    return function
+
+
 def _part(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
     compiled: Any = _compiled(function, options)
     is_compiled = isinstance(compiled, CPUDispatcher)

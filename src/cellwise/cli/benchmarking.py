@@ -45,6 +45,7 @@ cellwise certify: how wrong exported or any C will be, on a virtual fleet
     --log LOG...  a measured log of this cell, run as it is and with faults; LOG@soc0=X states its
         start
     --reference-capacity-ah X  of the sample that was logged, below its SOC [the model's]
+    --patch FILE  of `diagnose --patch`: every life without and with it, limits of those with it
     --keep-logs N=0  write what the filter saw of the N worst
     --scheduler WHERE=local  local (threads), processes, or a Dask scheduler's address
     --most-rmse X  limit of the SOC error, RMS (0.03: three points)
@@ -102,6 +103,7 @@ from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.sensor import assumed_text
+from cellwise.export.patch import read_patch
 from cellwise.files import made_folder, write_atomically
 
 MOST_PROCESSES = 64
@@ -292,6 +294,7 @@ def run_certify(arguments: argparse.Namespace) -> None:
             scheduler=arguments.scheduler,
             folder=arguments.output,
             keep_logs=arguments.keep_logs,
+            patch=None if arguments.patch is None else read_patch(arguments.patch),
             follow=lambda done, of: follow("cells", done, of),
         )
     data = found.to_dict()

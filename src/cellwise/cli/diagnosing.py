@@ -14,6 +14,9 @@ cellwise diagnose: model and logs to what is wrong, and by how much
         model's own]
     -o, --output MODEL2  the model with the causes known
     --corrected DIR  folder for logs without the sensors' faults
+    --patch FILE  what a target takes of the causes without new tables, for the --export
+    --export DIR  folder that `cellwise export --health` wrote of the model
+    --generation N=1  of the patch: a target takes none that is older
 <page>
 <log options>
 """
@@ -24,18 +27,21 @@ import argparse
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.errors import InputError
-from cellwise.files import made_folder
+from cellwise.files import made_folder, write_atomically
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
 from cellwise.notices import critical_first
 from cellwise.report.page.markup import MOST
+
+if TYPE_CHECKING:
+    from cellwise.benchmark.certify.exported import Exported
 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
@@ -47,6 +53,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         log_options.read_cut(paths, arguments)
         for paths in (arguments.logs, arguments.holdout, arguments.baseline)
     )
+    exported = _exported(arguments)
     began = time.perf_counter()
     with printing.working("diagnose") as follow:
         found = diagnose(
@@ -60,7 +67,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             progress=lambda share, what: follow(what, share),
         )
     seconds = time.perf_counter() - began
-    written = _write(found, arguments)
+    written = _write(found, arguments, exported)
     notices = critical_first(
         [*found.notices, *(n for log in (*logs, *holdout, *baseline) for n in log.notices)]
     )
@@ -70,6 +77,8 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         return
     printing.say_notices(n for n in notices if n.is_critical)
     print_diagnosis(found)
+    if "no_patch" in written:
+        printing.say(f"no patch: {written.pop('no_patch')}")
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:
             printing.say(f"{name.replace('_', ' ')}: {path}")
@@ -79,7 +88,13 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuse what could only fail after the work is done."""
-    options.check_places(arguments.output)
+    options.check_places(arguments.output, arguments.patch)
+    if (arguments.patch is None) != (arguments.export is None):
+        raise InputError(
+            "--patch without --export" if arguments.export is None else "--export without --patch",
+            "both: a patch is of the tables of one export",
+            "Add --export DIR, a folder that `cellwise export --health` wrote, and --patch FILE.",
+        )
     page_options.check_page_options(arguments)
     if arguments.corrected and Path(arguments.corrected).is_file():
         raise InputError(
@@ -100,7 +115,9 @@ def _files(paths: list[str]) -> list[Path]:
     return [Path(one.path).resolve() for path in paths for one in logs_of(path).logs]
 
 
-def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
+def _write(
+    found: Diagnosis, arguments: argparse.Namespace, exported: Exported | None
+) -> dict[str, Any]:
     """Write model, logs and page; where they are."""
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
     with page_options.page_places(arguments) as pages:
@@ -112,11 +129,36 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
         written["report"] = arguments.report
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
         written["corrected"] = _write_logs(found.corrected, arguments.corrected)
+    if exported is not None:
+        from cellwise.workflows.patching import patch_for
+
+        target = exported.model, exported.stepper.tables
+        try:
+            write_atomically(arguments.patch, patch_for(found, *target, arguments.generation))
+            written["patch"] = arguments.patch
+        except InputError as error:  # said beside what was found
+            written |= {"patch": None, "no_patch": str(error.found)}
     if arguments.output:
         # The next command reads it either way: where no cause changes the model it stays as it is.
         write_model(found.extended_model or found.model, arguments.output)
         written["extended_model"] = arguments.output if found.extended_model else None
     return written
+
+
+def _exported(arguments: argparse.Namespace) -> Exported | None:
+    """What a patch is for; None where none is asked for.
+
+    Raises
+    ------
+    InputError        no such folder, or exported without health
+    """
+    if arguments.export is None:
+        return None
+    from cellwise.benchmark.certify.exported import read_export
+
+    exported = read_export(arguments.export)
+    exported.stepper.need("health")
+    return exported
 
 
 def _write_logs(logs: tuple[CellLog, ...], folder: str) -> list[str]:

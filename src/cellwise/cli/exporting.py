@@ -29,7 +29,7 @@ cellwise export: model to C sources and other programs' formats
     --remaining V  time and energy left down to V volts per cell
     --cells N=0  follow N cells in series, on one table
     --health  take capacity and resistance from `cellwise history` without a new export
-    --soh  estimate on the target the capacity that is left, between rests far apart
+    --soh  estimate on the target capacity and resistance, at the ends of long rests
     --log LOG  accuracy lost, against the float64 EKF
     --soc0 X  SOC at the log's start [auto]
 <page>

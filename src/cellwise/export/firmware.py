@@ -43,6 +43,11 @@ void cellwise_cells_of(const void *model, const void *x, const void *cells, uint
 void cellwise_soh_init(const void *model, void *soh);
 void cellwise_soh_rows(const void *model, void *x, void *soh, const void *in, void *out,
                          uint32_t samples);
+uint32_t cellwise_patched_rows(const void *model, const void *from, void *x, const void *in,
+                               void *out, uint32_t samples);
+uint32_t cellwise_patched_bank_rows(const void *model, const void *from, void *bank, void *of,
+                                    uint32_t count, const void *in, void *out, uint32_t samples);
+void cellwise_soh_of(const void *model, void *soh, void *out);
 void cellwise_keep(void *into, const void *x, const void *newest);
 uint32_t cellwise_newest_slot(const void *first, const void *second);
 uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);
@@ -161,7 +166,7 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     name = "port/host_rows.c"
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
-        headers = {"cellwise_ekf.h": "", "cellwise_soh.h": ""}
+        headers = {f"cellwise_{part}.h": "" for part in ("ekf", "soh", "store")}
         text = prefixed({name: text, **headers}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"

@@ -77,7 +77,8 @@ class Function:
         node.body = joined(node.body, behind, dotted)
         self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
         self.returns = ast.unparse(node.returns) if node.returns else "None"
-        self.noinline = any(ast.unparse(d) == "noinline" for d in node.decorator_list)
+        said = {ast.unparse(d) for d in node.decorator_list}
+        self.hint = "NOINLINE " if "noinline" in said else "INLINED " if "inlined" in said else ""
         self.types = dict(self.parameters)
         self.pointers = {n for n, t in self.parameters.items() if t not in SCALARS}
         self.renamed = self._renamed()
@@ -150,7 +151,7 @@ class Function:
     def signature(self, name: str, static: bool) -> list[str]:
         """Its first line, or lines."""
         kind = "void" if self.fills or self.returns == "None" else SCALARS[self.returns]
-        start = f"{'static ' if static else ''}{'NOINLINE ' if self.noinline else ''}{kind} {name}("
+        start = f"{'static ' if static else ''}{self.hint}{kind} {name}("
         parts = [
             f"{SCALARS[t]} {n}" if t in SCALARS else f"{self._pointer_to(t)}{n}"
             for n, t in self.parameters.items()

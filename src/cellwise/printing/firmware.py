@@ -43,6 +43,7 @@ PUBLIC = {
     "pack_power": "cellwise_pack_power",
     "start_soh": "cellwise_soh_init",
     "step_soh": "cellwise_soh_step",
+    "soh_of": "cellwise_soh_of",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -65,7 +66,7 @@ ASKED = {
     "set_health": ("HEALTH",),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
-    **dict.fromkeys(("start_soh", "step_soh"), ("SOH",)),
+    **dict.fromkeys(("start_soh", "step_soh", "soh_of"), ("SOH",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
@@ -104,8 +105,9 @@ PARTS = {
     "plan": "A plan of loads, and where it ends.",
     "cells": "Cells of a pack on one table: their difference from the mean cell.",
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
+    "record": "What is known of capacity and resistance, and whether that is sound.",
     "capacity": "What a pair of rests far apart says of the capacity.",
-    "rests": "The charge between rests, and how long a cell has rested.",
+    "rests": "The charge between rests, how long a cell has rested, the first load after.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -114,14 +116,14 @@ FIRST = {
     "bank.py": "components", "left_by_load": "past", "collect_sample": "block",
     "likeliest_of": "spread", "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
-    "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "capacity",
-    "moved_by": "rests",
+    "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "record",
+    "soc_of_ocv": "capacity", "fixed_rests.py": "rests",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
     "cellwise_bank_record.h": "What is kept of a start that is not known, beside its states.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
-    "cellwise_soh.h": "Capacity that is left, estimated between two rests far apart.",
+    "cellwise_soh.h": "Capacity that is left, between rests far apart, and resistance, after one.",
 }
 WHOLE = (
     "The filter, its parts compiled as one. In objects of their own a step of three states takes "

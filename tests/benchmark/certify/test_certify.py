@@ -135,7 +135,7 @@ def test_a_run_goes_on_where_it_stopped(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         certify_run,
         "run_life",
-        lambda e, life, seed: done.append(life.about["cell"]) or real(e, life, seed),
+        lambda e, life, *more: done.append(life.about["cell"]) or real(e, life, *more),
     )
     _, rest, _ = run(capsys, folder, *SHORT, "-o", place)
     assert sorted(done) == [2, 3]

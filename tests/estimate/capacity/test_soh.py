@@ -192,6 +192,54 @@ def test_memory_that_lost_a_bit_begins_again():
         assert abs(found.share - 0.8) < 2.0 * found.share_std
 
 
+def grown(model, scale):
+    """The model with every resistance that many times as large."""
+    names = ("r0_ohm", "r1_ohm", "r2_ohm")
+    return replace(model, **{name: scale * getattr(model, name) for name in names})
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.0, 1.5, 2.5])
+@pytest.mark.parametrize("share", [0.7, 1.0])
+def test_the_resistance_is_found_within_its_deviation(scale, share):
+    """With the capacity, which moves the OCV under the load."""
+    model = curved_cell()
+    found = estimated(model, field_log(grown(model, scale), share, use(LONG_S)))
+    assert found.loads >= 10
+    assert found.resistance == pytest.approx(scale, rel=0.1)
+    assert abs(found.resistance - scale) < 2.0 * found.resistance_std
+    assert found.resistance_std < 0.25 * scale
+
+
+def test_a_ramp_a_small_load_and_a_short_rest_say_nothing_of_the_resistance():
+    model = grown(curved_cell(), 1.5)
+    rest = np.zeros(int(LONG_S / DT_S))
+    ramp = np.linspace(0.0, 1.0, 90) ** 2  # never still within the first half minute
+    for load in (ramp, np.full(90, 0.1)):
+        log = field_log(model, 1.0, np.concatenate([rest, load, rest, load, rest]))
+        assert estimated(curved_cell(), log).loads == 0
+    assert estimated(curved_cell(), field_log(model, 1.0, use(SHORT_S))).loads == 0
+
+
+def test_a_contact_that_comes_loose_is_found_by_and_by():
+    model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    kept = estimator.begin()
+    before = estimator.run(field_log(model, 1.0, use(LONG_S, cycles=20)), 0.9, kept)
+    assert before.resistance == pytest.approx(1.0, abs=0.1)
+    after = estimator.run(field_log(grown(model, 3.0), 1.0, use(LONG_S, cycles=40)), 0.9, kept)
+    assert after.resistance > 2.0
+
+
+def test_what_a_target_shows_of_a_record_without_content_is_what_is_usual():
+    stepper = numba_stepper(fixed_step_tables(curved_cell(), DT_S, soh=True))
+    record = np.frombuffer(b"\xff" * layout.SOH.itemsize, layout.SOH).copy()
+    now = stepper.answer("soh_of", layout.SOH_OUTPUT, record)[0]
+    assert (now["share"], now["resistance"]) == (1.0, 1.0)
+    assert np.sqrt([now["share_variance"], now["resistance_variance"]]) == pytest.approx(
+        [0.15, 0.5]
+    )
+
+
 def test_a_filter_without_it_is_refused():
     with pytest.raises(InputError, match="soh=True"):
         SohEstimator(FixedStep(curved_cell(), dt_s=DT_S))
@@ -227,9 +275,11 @@ def test_the_c_has_the_same_bits(name):
         said = []
         for samples in (used, stress_samples(4000), used):
             said += [twin.soh_rows(state, record, samples).tobytes(), record.tobytes()]
+            said.append(twin.answer("soh_of", layout.SOH_OUTPUT, record).tobytes())
         found.append((said, EstimatedSoh.of(record)))
     assert found[0] == found[1]
     assert found[0][1].pairs >= 1
+    assert found[0][1].loads >= 1
 
 
 @needs_c

@@ -1,4 +1,4 @@
-"""Capacity that is left, estimated as on a target, of measured cells: an ageing one and new ones.
+"""Capacity and resistance, estimated as on a target, of measured cells: an ageing one and new ones.
 
 Samsung 30Q: the model is of two other cells, each log a charge between two rests and the discharge
 that says what is left. LG HG2: the model knows no capacity test, at 25 degC but for a drive.
@@ -14,6 +14,7 @@ from benchmarks.accuracy.panasonic import CELL, panasonic_tests
 from benchmarks.accuracy.power import DRIVES, withheld
 from benchmarks.measured_data import measured_log
 
+from cellwise.cell.equations import look_up
 from cellwise.estimate.capacity.soh import SohEstimator
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
@@ -113,7 +114,8 @@ def full_soc(model, log):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="0.873, 0.054 stated: 2.3 deviations; 0.958, 0.051 where a search ends later",
+    reason="0.873, 0.054 stated: 2.3 deviations: the fit's OCV at the second rest, 3.391 for "
+    "3.237 V, is off by 3.1 of the deviations that the fit states there",
 )
 def test_a_plateau_in_a_table_makes_no_share(real_data):
     """Panasonic: a fit of one temperature is flat from 0.03 to 0.14 SOC, and states its error."""
@@ -144,3 +146,57 @@ def test_new_cells_at_other_temperatures_are_new(real_data):
         assert found.pairs == 1, name
         assert abs(found.share - 1.0) < 0.03, name
         assert abs(found.share - 1.0) < 2.0 * found.share_std < 2.0 * BEFOREHAND / 3.0, name
+
+
+def dropped_more(log, ohm):
+    """The log of a cell whose contact has so much more resistance."""
+    return replace(log, voltage_V=log.voltage_V - ohm * log.known_current_A())
+
+
+def ohm_after(model, seconds, temperature_C):
+    """What the model's resistances are after so long under load, in the mean over SOC."""
+    points = [look_up(model.parameters(), soc, temperature_C) for soc in np.linspace(0.1, 0.9, 9)]
+    return np.mean(
+        [
+            p.r0_ohm
+            + p.r1_ohm * -np.expm1(-seconds / p.tau1_s)
+            + p.r2_ohm * -np.expm1(-seconds / p.tau2_s)
+            for p in points
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", ["hppc_p25", "hppc_p10"])
+def test_a_hidden_resistance_is_found_in_measured_pulses(real_data, name):
+    """Panasonic: model of 25 degC alone; each pulse after a rest shows it, within 25 % of it."""
+    log = measured_log(real_data, f"{CELL}/{name}")
+    tests = panasonic_tests(real_data)
+    model = identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
+    estimator = estimator_of(model)
+    clean = estimator.run(log, 1.0)
+    assert clean.loads >= 10
+    assert abs(clean.resistance - 1.0) < 2.0 * clean.resistance_std < 0.25
+    warm_C = float(np.median(log.temperature_C))
+    for ohm in (0.01, 0.02):
+        hidden = estimator.run(dropped_more(log, ohm), 1.0)
+        grown = hidden.resistance - clean.resistance
+        expected = ohm / ohm_after(model, 2.0, warm_C)
+        assert abs(grown / expected - 1.0) < OF_ISSUE
+        assert abs(hidden.share - clean.share) < 0.02
+
+
+def test_the_resistance_of_an_ageing_cell_grows_as_its_own_first_drop(life, real_data):
+    """Of the discharge after an hour of rest: drop over current from 10 s after its start on."""
+    estimator = estimator_of(identified_samsung(real_data))
+    shown, found = [], []
+    for log, _ in life:
+        start = int(np.flatnonzero(log.interval_s > LONG_PAUSE_S)[-1])
+        out = log.part(start, min(start + 60, len(log)))
+        load = np.flatnonzero(out.known_current_A() > 1.0)
+        after = load[(out.time_s[load] - out.time_s[load[0]] > 10.0)][:5]
+        drop_V = out.voltage_V[load[0] - 1] - out.voltage_V[after]
+        shown.append(float(np.mean(drop_V / out.known_current_A()[after])))
+        found.append(run(estimator, log).resistance)
+    shown, found = np.array(shown) / shown[0], np.array(found) / found[0]
+    assert shown.max() > 1.3
+    assert np.corrcoef(shown, found)[0, 1] > 0.9

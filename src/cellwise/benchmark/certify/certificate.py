@@ -91,11 +91,14 @@ class Certificate:
 
     @property
     def beyond(self) -> list[str]:
-        """Limits that are not kept, in words; each source of cells has to keep them."""
+        """Limits that are not kept, in words; each source of cells has to keep them.
+
+        With a patch those of the runs with it.
+        """
         stated = {name: limit for name, limit in asdict(self.limits).items() if limit is not None}
         failures = len(self.split["failures"]) if self.split else 0
         said = [f"no answer to the end in {failures} lives"] * bool(stated and failures)
-        for source, found in self.sources.items():
+        for source, found in (self.patched or self.sources).items():
             for name, limit in stated.items():
                 value = found[name]  # none is kept where there is no number
                 if not (value >= limit if name == "coverage" else value <= limit):
@@ -107,6 +110,12 @@ class Certificate:
     def sources(self) -> dict[str, dict[str, float]]:
         """Figures of each source of cells."""
         return grouped(self.rows, lambda r: str(r["source"]))
+
+    @property
+    def patched(self) -> dict[str, dict[str, float]]:
+        """Figures of each source of cells with the patch; none without one."""
+        rows = [{**row, **row["patched"]} for row in self.rows if "patched" in row]
+        return grouped(rows, lambda r: str(r["source"]))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as the contract of `cellwise certify` names them."""
@@ -137,6 +146,7 @@ class Certificate:
             },
             "sensor": self.settings["sensor"],
             "settings": self.settings,
+            **({"patched": self.patched} if self.patched else {}),
             **(self.split or {}),
         }
 
@@ -263,7 +273,7 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
     """
     error, inside = data["soc_error"], data["coverage_2sigma"]
     divided = groups_of(data)
-    sources = divided.pop("source")
+    sources, patched = divided.pop("source"), divided.pop("patch", None)
     pictures = [group_picture(n, g)._replace(key=f"certificate-{n}") for n, g in divided.items()]
     tables = Markup("".join(group_table(name, groups) for name, groups in divided.items()))
     where: Blocks = (
@@ -295,6 +305,7 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
         f"Certificate of {whose(data)} {model or 'an unnamed cell'}, by cellwise",
         [
             Section("causes", "What makes it wrong", cause_blocks(data)),
+            Section("patch", "Without and with the patch", patch_blocks(patched)),
             Section("sources", "By what made the cells", (group_table("source", sources),)),
             Section("groups", "Where the error is", where),
             Section("worst", "The worst cells", (_worst(data),)),
@@ -305,6 +316,10 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
     )
 
 
+PATCHED = (
+    "The same cells, sensors and faults, stepped by the same C, before and after it has taken the "
+    "patch; stated limits are those of the runs after."
+)
 OWN = (
     "On cells that are the model's, with a true start and, unless they are stated, perfect "
     "sensors: what each cause adds to the error, of which the first hour weighs as much as all "
@@ -372,7 +387,22 @@ def finding(data: Mapping[str, Any]) -> str:
 def groups_of(data: Mapping[str, Any]) -> dict[str, Groups]:
     """Groups that have members, by what they divide: of measured logs alone no age is known."""
     sources = {SOURCES[name]: one for name, one in data["sources"].items()}
-    return {"source": sources, **{name: own for name, own in data["by"].items() if own}}
+    found = {"source": sources, **{name: own for name, own in data["by"].items() if own}}
+    if "patched" in data:
+        columns = {"as exported": data["sources"], "with the patch": data["patched"]}
+        found["patch"] = {
+            f"{SOURCES[name]}, {how}": column[name]
+            for name in data["sources"]
+            for how, column in columns.items()
+        }
+    return found
+
+
+def patch_blocks(groups: Groups | None) -> Blocks:
+    """The same lives without and with the patch; nothing without one."""
+    if groups is None:
+        return ()
+    return (paragraph(PATCHED, "note"), group_table("patch", groups))
 
 
 @pictured("certificate")

@@ -30,6 +30,7 @@ from cellwise.export.firmware import (
     load_library,
 )
 from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
+from cellwise.export.patch import patched_rows, taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +67,29 @@ class Exported:
         known = {k: v for k, v in stated.items() if k != "by_default" and v is not None}
         return sensor_of(known, DESCRIPTION)
 
-    def run(self, records: NDArray[Any], soc: float, soc_std: float) -> NDArray[Any]:
+    def run(
+        self, records: NDArray[Any], soc: float, soc_std: float, patch: bytes | None = None
+    ) -> NDArray[Any]:
         """Step the C through samples as its README says, from a start known to ``soc_std``.
 
         Parameters
         ----------
         records : (n,) of layout.INPUT
+        patch : bytes or None     that it takes before its first sample
 
         Returns
         -------
         (n,) of layout.OUTPUT
+
+        Raises
+        ------
+        InputError        a patch that the C refuses, or that it is not made for
         """
-        return self.stepper.filter_rows(self.started(soc, soc_std), records)
+        memory = self.started(soc, soc_std)
+        if patch is None:
+            return self.stepper.filter_rows(memory, records)
+        block = taken(patch, self.stepper.tables)
+        return patched_rows(self.stepper, block, memory, records)
 
     def started(self, soc: float, soc_std: float) -> FilterMemory:
         """A state before its first sample; with a bank in, a bank of as many as the README says."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +39,9 @@ from cellwise.benchmark.row_store import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.sensor import CAR, Sensor, assumed
+from cellwise.export.patch import patched_rows, taken
 from cellwise.files import made_folder
 from cellwise.fleet.engine import LOCAL, connected, rows_of
 from cellwise.logs.cell_log import CellLog
@@ -65,6 +68,7 @@ def certify(
     scheduler: str = LOCAL,
     folder: str | Path | None = None,
     keep_logs: int = 0,
+    patch: bytes | None = None,
     follow: Callable[[int, int], None] | None = None,
 ) -> Certificate:
     """SOC error and coverage of the exported C over cells that vary, age and have faults.
@@ -84,11 +88,14 @@ def certify(
     folder : path or None         finished cells are kept there, and a run of the same settings goes
                                   on where it stopped
     keep_logs : int               what the filter saw in so many of the worst lives is written there
+    patch : bytes or None         of the export: every life is run without and with it, and the
+                                  limits are those of the run with it
     follow : callable or None     called with how many lives are done, and of how many
 
     Raises
     ------
-    InputError        no cell, no hour; physics without PyBaMM; logs to keep, and no folder
+    InputError        no cell, no hour; physics without PyBaMM; logs to keep, and no folder; a patch
+                      of a gauge, or one that the export does not take
     MachineError      a life that could not be run
     """
     if cells < 1 or not (math.isfinite(hours) and hours > SETTLED_S / 3600.0):
@@ -99,6 +106,8 @@ def certify(
         )
     if keep_logs and folder is None:
         raise InputError("logs to keep, and no folder", "a folder for them", "Name one.")
+    if patch is not None:
+        check_patch(exported, patch)
     capacity_Ah = exported.model.capacity_Ah
     stated = exported.sensor if sensor is None else sensor
     used = (stated or CAR).of_cell(capacity_Ah)
@@ -116,12 +125,13 @@ def certify(
         "restarts": RESTARTS,
         "seed": seed,
         "sensor": assumed(stated, capacity_Ah),
+        **({} if patch is None else {"patch_sha256": hashlib.sha256(patch).hexdigest()}),
     }
     place = None if folder is None else made_folder(folder, "the certificate")
     kept = KeptRows(place and place / ROWS_FILE)
     keys = {name: key_of([settings, name]) for name in (f"{s} {k}" for s, k in fleet.names)}
     waiting = [name for name, key in keys.items() if key not in kept.rows]
-    task = LifeTask(exported, fleet)
+    task = LifeTask(exported, fleet, patch)
     with connected(scheduler, None) as client:
         for found in rows_of(client, task, exported.folder, waiting, 1):
             for row in found:
@@ -149,6 +159,7 @@ class LifeTask:
 
     exported: Exported | Gauge
     fleet: Fleet
+    patch: bytes | None = None
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
         """A row for each life; what could not be run says why."""
@@ -159,7 +170,7 @@ class LifeTask:
         exported = self.exported
         try:
             life = self.fleet.life(exported.model, source, int(number), exported.dt_s)
-            found = run_life(exported, life, self.fleet.seed)
+            found = run_life(exported, life, self.fleet.seed, self.patch)
             if isinstance(exported, Gauge) and is_split(self.fleet, int(number)):
                 found["without"] = without_each(exported, self.fleet, life)
             return found
@@ -171,47 +182,92 @@ class LifeTask:
         return {"name": name, "problem": reason}
 
 
-def run_life(exported: Exported | Gauge, life: CertifiedLife, seed: int) -> dict[str, Any]:
+def run_life(
+    exported: Exported | Gauge, life: CertifiedLife, seed: int, patch: bytes | None = None
+) -> dict[str, Any]:
     """One life through the C: what it was, and how wrong the filter was.
 
-    A row of which a gauge says nothing, or no number, counts as wrong by all there is.
+    A row of which a gauge says nothing, or no number, counts as wrong by all there is. With a
+    ``patch`` what the same life is with it, too.
     """
-    log = life.log
     if isinstance(exported, Gauge):
         said = live(exported, life, seed)
     else:
         said = lived(exported, life, seed)
+    row = {
+        **life.about,
+        "soc0": float(life.soc[0]),
+        "hours": float(life.log.duration_s / 3600.0),
+        **life_figures(life, said),
+        "restart_loss": said.restart_loss,
+    }
+    if isinstance(exported, Gauge):
+        return {**row, "failure": said.problem}
+    if patch is not None:
+        row["patched"] = life_figures(life, stepped(exported, life, patch))
+    return row
+
+
+def life_figures(life: CertifiedLife, said: Lived) -> dict[str, Any]:
+    """How wrong a life's SOC was."""
+    log = life.log
     error = np.where(np.isfinite(said.soc), said.soc - life.soc, 1.0)
     scored = scored_rows(life) & said.on
     ends = ends_of_discharges(log) & scored
     size = np.abs(error[scored])
     std = np.where(np.isfinite(said.soc), said.std, 0.0)[scored]
     worst = int(np.argmax(np.where(scored, np.abs(error), -1.0)))
-    row = {
-        **life.about,
-        "soc0": float(life.soc[0]),
-        "hours": float(log.duration_s / 3600.0),
+    return {
         **life_error(size),
         "inside": float(np.mean(size <= 2.0 * std)) if np.any(np.isfinite(said.std)) else math.nan,
         "worst_h": float((log.time_s[worst] - log.time_s[0]) / 3600.0),
         "ends": int(ends.sum()),
         "ends_near": int(np.sum(np.abs(error[ends]) <= NEAR)),
-        "restart_loss": said.restart_loss,
     }
-    return {**row, "failure": said.problem} if isinstance(exported, Gauge) else row
+
+
+def stepped(exported: Exported, life: CertifiedLife, patch: bytes | None = None) -> Lived:
+    """What the exported C says at each row of a life, without a loss of power."""
+    samples = samples_of(exported.model, life.seen, exported.dt_s)
+    start = (life.about["started_at"], START_STD)
+    outputs = exported.run(samples.records, *start, patch)[samples.row_sample]
+    std = np.sqrt(outputs["soc_variance"].astype(np.float64))
+    return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), 0.0, "")
 
 
 def lived(exported: Exported, life: CertifiedLife, seed: int) -> Lived:
     """What the exported C says at each row of a life; what it loses where the power is lost."""
     samples = samples_of(exported.model, life.seen, exported.dt_s)
     start = (life.about["started_at"], START_STD)
-    outputs = exported.run(samples.records, *start)[samples.row_sample]
-    std = np.sqrt(outputs["soc_variance"].astype(np.float64))
     event, on, truth = life_events(life, samples, exported.dt_s, seed)
     handed = samples.records[on]
     again, written = run_restarted(exported, handed, event[on], start, life.truth.capacity_Ah)
     lost = restart_loss(event[on], written, again["soc"] - truth[on], truth[on])
-    return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), lost, "")
+    return stepped(exported, life)._replace(restart_loss=lost)
+
+
+def check_patch(exported: Exported | Gauge, patch: bytes) -> None:
+    """Refuse before cells are drawn what the C would refuse.
+
+    Raises
+    ------
+    InputError        a gauge, an export without health, a patch that is not of the export
+    """
+    if isinstance(exported, Gauge):
+        raise InputError(
+            "a patch of a gauge",
+            "a patch of an export",
+            "Leave out " + arg("patch", letter="FILE") + ".",
+        )
+    if not exported.stepper.tables.options.health:
+        raise InputError(
+            f"a patch, and '{exported.folder}' exported without health",
+            "an export that takes patches",
+            "Export again with " + arg("health", True) + ".",
+        )
+    start = exported.started(0.5, START_STD)
+    block = taken(patch, exported.stepper.tables)
+    patched_rows(exported.stepper, block, start, np.zeros(0, dtype=INPUT))
 
 
 def split_error(

@@ -1,4 +1,4 @@
-"""Capacity that is left, estimated on a target between two rests far apart, beside the fixed step.
+"""Capacity that a target estimates beside the fixed step, between two rests far apart.
 
 After a long rest the voltage is the OCV, and the OCV gives the SOC whatever the capacity is. What
 was counted between two such rests is the SOC between them times the share of the model's capacity
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.cell.description import BRANCHES, H
+from cellwise.cell.description import H
 from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
@@ -29,7 +29,6 @@ from cellwise.estimate.fixed.lookup import (
     read,
     soc_place,
 )
-from cellwise.estimate.fixed.state import taken
 
 
 class RestedSoc(NamedTuple):
@@ -62,6 +61,13 @@ def forget_share(a: Soh) -> None:
     a.refused = U(0)
 
 
+def forget_resistance(a: Soh) -> None:
+    """Nothing is known of the resistances but what is usual."""
+    a.resistance = 1.0
+    a.rr = SOH_RESISTANCE
+    a.resistance_variance = SOH_RESISTANCE
+
+
 def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
     """Count from a rest; a variance of 0: from none."""
     a.soc = soc
@@ -69,7 +75,7 @@ def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
     a.counted = 0.0
     a.counted_carry = 0.0
     a.unsure = 0.0
-    a.steps = U(0)
+    a.counted_from = a.sequence
 
 
 def state_variance(c: Constants, a: Soh) -> None:
@@ -86,6 +92,7 @@ def state_variance(c: Constants, a: Soh) -> None:
 def age(c: Constants, a: Soh) -> None:
     """What has flowed may have aged the cell."""
     more = SOH_WALK * a.moved
+    a.rr = at_most(a.rr + (SOH_RESISTANCE_WALK * a.moved), SOH_RESISTANCE)
     a.qq = at_most(a.qq + more, SOH_VARIANCE)
     a.own_qq = at_most(a.own_qq + more, SOH_VARIANCE)
     state_variance(c, a)
@@ -96,15 +103,19 @@ def start_soh(m: Model, a: Soh) -> None:
     """Before the first sample: the capacity of the tables, known as that of any used cell."""
     a.share = 1.0
     forget_share(a)
+    forget_resistance(a)
     a.moved = 0.0
+    a.sequence = U(0)
     begin_at_rest(a, 0.0, 0.0)
     a.current_A = 0.0
     a.voltage_V = 0.0
     a.held_V = 0.0
-    a.rest = U(0)
+    a.loaded = U(0)
     a.silent = U(0)
     a.pairs = U(0)
-    a.sequence = U(0)
+    a.loads = U(0)
+    a.watched = U(0)
+    a.rest_end = U(0)
     a.begun = U(0)
 
 
@@ -130,7 +141,11 @@ def soh_is_sound(a: Soh) -> bool:
         return False
     if not (not_negative(a.unsure, 1.0) and size_within(a.current_A, LARGE)):
         return False
-    return not_negative(a.voltage_V, LARGE) and not_negative(a.held_V, LARGE)
+    if not (positive_within(a.rr, VARIANCE_FLOOR, 1.0) and not_negative(a.held_V, LARGE)):
+        return False
+    if not (not_negative(a.resistance_variance, LARGE) and not_negative(a.voltage_V, LARGE)):
+        return False
+    return positive_within(a.resistance, LEAST_SCALE, MOST_SCALE)
 
 
 def soc_of_ocv(m: Model, place: Place, ocv_V: float, side: float, more_V2: float) -> float:
@@ -251,13 +266,11 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
     every pair, either way.
     """
     c = m.constant
-    if not soh_is_sound(a):
-        start_soh(m, a)
     place = place_now(m, x)
     now = rested(m, place, x, a)
     if now.variance <= SOH_SOC_VARIANCE:
         age(c, a)
-        steps = F(a.steps)
+        steps = F(U(a.sequence - a.counted_from))
         drift = steps * c.soh_drift
         both_soc2 = a.variance + now.variance
         count_soc2 = a.unsure + (steps * c.soc_walk)
@@ -266,84 +279,7 @@ def end_rest(m: Model, x: State, a: Soh) -> None:
         side = 1.0 if apart > 0.0 else -1.0
         far = side * apart
         if a.variance > 0.0 and far >= SOH_APART:
-            use_pair(c, a, far, -(side * drift), side * a.counted, count_soc2, both_soc2)
-            if not soh_is_sound(a):
-                start_soh(m, a)
+            use_pair(c, a, far, -(side * drift), -(side * a.counted), count_soc2, both_soc2)
             begin_at_rest(a, now.soc, now.variance)
         elif not (a.variance > 0.0) or count_soc2 + offset_soc2 > both_soc2:
             begin_at_rest(a, now.soc, now.variance)
-
-
-def moved_by(c: Constants, x: State, current_A: float) -> float:
-    """SOC of the tables' capacity that a current takes in one step."""
-    used = taken(c, x, current_A)
-    if HEALTH:
-        used = used / x.per_capacity
-    return F(used)
-
-
-def count_on(c: Constants, x: State, a: Soh, missing: int) -> None:
-    """The charge of an interval, and of samples that are missing, as the step counts them."""
-    used = moved_by(c, x, x.current_A)
-    if missing != U(0):
-        if missing <= c.gap_steps:
-            used = used + (moved_by(c, x, 0.5 * (x.current_A + a.current_A)) * F(missing))
-        else:
-            # A load that many gaps hide takes the same way in all of them.
-            off = root(a.unsure) + root(c.gap_variance)
-            a.unsure = at_most(off * off, 1.0)
-    a.counted, a.counted_carry = add(a.counted, a.counted_carry, -used)
-    a.moved = at_most(a.moved + magnitude(used), SINCE_MOST)
-    if a.steps < COUNT_MOST:
-        a.steps = U(a.steps + missing + 1)
-
-
-@unrolled_by_option
-def watch_rest(c: Constants, x: State, a: Soh, missing: int, voltage_V: float) -> None:
-    """How long the cell has rested, and what its voltage was last."""
-    if size_below(x.current_A, c.soh_rest_A):
-        if a.rest < COUNT_MOST:
-            a.rest = U(a.rest + missing + 1)
-        shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
-        if shown and a.rest >= c.soh_steps:
-            held_V = 0.0
-            for i in BRANCHES:
-                held_V = held_V + x.state[i]
-            a.voltage_V = voltage_V
-            a.held_V = magnitude(held_V)
-    else:
-        a.rest = U(0)
-        a.voltage_V = 0.0
-
-
-def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
-    """After each step, with its sample: count, watch for rests, and use a pair of them.
-
-    A current that is missing for longer than what is bridged makes the count worthless: it begins
-    again at the next rest. Of memory that lost its content what is shown is noticed at once, the
-    rest before it is used.
-    """
-    c = m.constant
-    shown = not_negative(a.share_variance, LARGE)
-    if not (shown and positive_within(a.share, LEAST_SHARE, MOST_SHARE)):
-        start_soh(m, a)
-    elapsed = U(sample.sequence - a.sequence)
-    if a.begun == U(0):
-        a.begun = U(1)
-    elif elapsed != U(0):
-        missing = U(elapsed - 1)
-        missing = missing if missing < LONGEST_GAP else LONGEST_GAP
-        if a.voltage_V > 0.0 and not size_below(x.current_A, c.soh_rest_A):
-            end_rest(m, x, a)
-        count_on(c, x, a, missing)
-        a.silent = U(0) if size_within(sample.current_A, c.current_limit_A) else U(a.silent + 1)
-        if WIDE and x.no_current > c.gap_steps:
-            a.silent = x.no_current
-        if a.silent > c.gap_steps:
-            begin_at_rest(a, 0.0, 0.0)
-            a.rest = U(0)
-            a.voltage_V = 0.0
-        else:
-            watch_rest(c, x, a, missing, sample.voltage_V)
-    a.sequence = sample.sequence
-    a.current_A = x.current_A

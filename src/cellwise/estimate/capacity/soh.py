@@ -17,21 +17,30 @@ from cellwise.logs.cell_log import CellLog
 
 
 class EstimatedSoh(NamedTuple):
-    """Share of the model's capacity that is left, its standard deviation, pairs of rests used.
+    """Share of the model's capacity that is left and scale of its resistances, with deviations.
 
-    As the current sensor counts it: one that shows too much shows too much capacity.
+    ``pairs`` of rests and ``loads`` after a rest say so. As the current sensor counts it: one that
+    shows too much shows too much capacity and too little resistance.
     """
 
     share: float
     share_std: float
     pairs: int
+    resistance: float
+    resistance_std: float
+    loads: int
 
     @classmethod
     def of(cls, record: NDArray[Any]) -> EstimatedSoh:
         """Of a record that a target has kept, or of :meth:`SohEstimator.begin`."""
         one = record[0]
-        std = float(np.sqrt(one["share_variance"]))
-        return cls(float(one["share"]), std, int(one["pairs"]))
+        share_std, resistance_std = (
+            float(np.sqrt(one[f"{name}_variance"])) for name in ("share", "resistance")
+        )
+        return cls(
+            float(one["share"]), share_std, int(one["pairs"]),
+            float(one["resistance"]), resistance_std, int(one["loads"]),
+        )  # fmt: skip
 
 
 class SohEstimator:

@@ -39,6 +39,7 @@ Cell: TypeAlias = Any
 Bank: TypeAlias = Any
 CellOutput: TypeAlias = Any
 Soh: TypeAlias = Any
+SohOutput: TypeAlias = Any
 States: TypeAlias = Any  # arrays: of states, cells, floats, phases, samples, outputs
 Cells: TypeAlias = Any
 Floats: TypeAlias = Any
@@ -114,8 +115,11 @@ SCORE_MOST = F(1e9)  # of what is known of an offset
 SINCE_MOST = F(1e9)  # steps, until the past is looked at
 SOH_VARIANCE = F(0.0225)  # of a used cell's share of capacity: 0.15, half of what a life takes
 SOH_WALK = F(1e-5)  # and per SOC that flows: 0.1 over 500 cycles of two each
+SOH_RESISTANCE = F(0.25)  # of a used cell's resistances: 0.5, half of what a life adds,
+SOH_RESISTANCE_WALK = F(2.5e-4)  # and per SOC that flows: 0.5 over 500 cycles of two each
 SOH_APART = F(0.3)  # SOC between two rests of a pair
 SOH_SOC_VARIANCE = F(0.0025)  # an OCV that says the SOC no better than to 0.05 is none
+RESTED, FIRST_LOAD = U(1), U(2)  # what is watched: a long rest, the load after it
 SOH_REFUSED = U(3)  # pairs in a row beyond the gate, then the estimate begins again
 
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 SOH_REST_RATE = 0.02  # below C/50 a drop is a millivolt or two
 SOH_REST_S = 1800.0  # of a rest until its voltage is the OCV, to the model's stated error
+SOH_LOAD_RATE = 0.2  # from C/5 on a drop is tens of millivolts
+SOH_LOAD_S = 30.0  # after which the OCV has moved as much as a drop of C/5
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 LEAST_CUTOFF_V = 0.1
 MONTH_S = 30.0 * 86_400.0
@@ -115,6 +117,8 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "rest_steps": np.ceil(OFFSET_REST_S / dt_s),
         "soh_rest_A": SOH_REST_RATE * model.capacity_Ah,
         "soh_steps": np.ceil(SOH_REST_S / dt_s),
+        "soh_load_A": SOH_LOAD_RATE * model.capacity_Ah,
+        "soh_load_steps": 1.0 + np.ceil(SOH_LOAD_S / dt_s),
         "soh_capacity": model.capacity_share,
         "soh_drift": noise.offset_share * dt_s / 3600.0,
         "heat_K_per_W": heating.rth_K_per_W,

@@ -147,6 +147,8 @@ CONSTANTS = (
     Field("soh_rest_A", "below it a cell rests, to millivolts,", "SOH"),
     Field("soh_steps", "and after so many steps its voltage is the OCV", "SOH", "u4"),
     Field("soh_capacity", "by what share of the model's a cell's may differ when new", "SOH"),
+    Field("soh_load_A", "of a load that shows the resistance, at least,", "SOH"),
+    Field("soh_load_steps", "within so many steps after a rest", "SOH", "u4"),
     Field("soh_drift", "SOC that an offset of one deviation takes in one step", "SOH"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
@@ -338,20 +340,32 @@ RECORDS = {
         Field("off_error"),
         Field("soc", "of the rest that is counted from,"),
         Field("variance", "its variance; 0: there is none"),
-        Field("counted", "SOC since"),
+        Field("counted", "SOC that has left since"),
         Field("counted_carry", "what rounding has kept from it"),
         Field("moved", "SOC that flowed since, either way"),
         Field("unsure", "variance of what flowed in gaps since"),
         Field("current_A", "of the last sample"),
-        Field("voltage_V", "last one of a long rest; 0: none"),
+        Field("voltage_V", "last one of a long rest"),
         Field("held_V", "by the branches then"),
-        Field("steps", "since the rest that is counted from", "", "u4"),
-        Field("rest", "steps at rest", "", "u4"),
-        Field("silent", "steps without a current", "", "u4"),
+        Field("counted_from", "sequence of the sample that ended it", "", "u4"),
+        Field("loaded", "sequence of the last sample with a load", "", "u4"),
+        Field("silent", "steps without a current; not with CELLWISE_WIDE", "", "u4"),
+        Field("resistance", "scale of the tables' resistances,"),
+        Field("resistance_variance", "and its variance"),
+        Field("rr", "that which weighs, beside the model's own error"),
+        Field("watched", "1: a long rest, 2: the first load after it", "", "u4"),
+        Field("rest_end", "sequence of its last sample", "", "u4"),
+        Field("loads", "after a rest that were used", "", "u4"),
         Field("pairs", "of rests that were used", "", "u4"),
         Field("refused", "pairs in a row that were not", "", "u4"),
         Field("sequence", "of the last sample", "", "u4"),
         Field("begun", "0: no sample yet", "", "u4"),
+    ),
+    "SohOutput": (
+        Field("share", "of the tables' capacity that is left,"),
+        Field("share_variance", "and its variance"),
+        Field("resistance", "scale of the tables' resistances,"),
+        Field("resistance_variance", "and its variance"),
     ),
 }
 IN_C = {"Sample": "input", "Cell": "pack_cell"}  # where its name in C is another
@@ -382,7 +396,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH = (
+BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH, SOH_OUTPUT = (
     _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
 )
 

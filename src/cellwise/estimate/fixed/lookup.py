@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from cellwise.cell.compiled import inlined
 from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.unrolled import THERE, unrolled_by_option
@@ -189,6 +190,7 @@ def soc_place(place: Place, points: int, soc: float) -> SocPlace:
     return SocPlace(k, f, g, at, share)
 
 
+@inlined
 @unrolled_by_option
 def resistances_at(m: Model, place: Place, z: SocPlace, current: float) -> Loaded:
     """Resistances by temperature, age and current."""

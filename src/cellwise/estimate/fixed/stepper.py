@@ -22,8 +22,8 @@ from cellwise.cell.compiled import BY, cached
 from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
-from cellwise.estimate.capacity import fixed_capacity
-from cellwise.estimate.capacity.fixed_capacity import step_soh
+from cellwise.estimate.capacity import fixed_capacity, fixed_rests
+from cellwise.estimate.capacity.fixed_rests import step_soh
 from cellwise.estimate.equations import bank as whole_bank
 from cellwise.estimate.equations import components, constants, evidence, offset, sensors, weighing
 from cellwise.estimate.equations import covariance as whole_covariance
@@ -92,6 +92,7 @@ STEP_MODULES = (
     fixed_remaining,
     fixed_cells,
     fixed_capacity,
+    fixed_rests,
 )
 
 
@@ -180,7 +181,7 @@ def specialised(options: Options) -> dict[str, Any]:
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     absent |= set() if options.bank else {whole_bank, bank}
-    absent |= set() if options.soh else {fixed_capacity}
+    absent |= set() if options.soh else {fixed_capacity, fixed_rests}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
