@@ -120,7 +120,9 @@ class Function:
         found: set[str] = set()
         for node in ast.walk(self.node):
             if isinstance(node, ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store):
-                of = node.value.value if isinstance(node.value, ast.Subscript) else node.value
+                of = node.value
+                if isinstance(of, ast.Subscript | ast.Attribute):  # of an array: whose it is
+                    of = of.value
                 kind = self.parameters.get(ast.unparse(of), "")
                 found.add(ELEMENTS.get(kind, kind))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):

@@ -20,7 +20,7 @@ import numpy as np
 from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
-from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.fixed.options import SKETCH_SUMS, Options, flags_of
 from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
@@ -43,6 +43,8 @@ PUBLIC = {
     "pack_power": "cellwise_pack_power",
     "start_soh": "cellwise_soh_init",
     "step_soh": "cellwise_soh_step",
+    "clear_sketch": "cellwise_sketch_init",
+    "add_to_sketch": "cellwise_sketch_add",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -66,11 +68,13 @@ ASKED = {
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
     **dict.fromkeys(("start_soh", "step_soh"), ("SOH",)),
+    **dict.fromkeys(("clear_sketch", "add_to_sketch"), ("SKETCH",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
     "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
+    "sketch": SKETCH_SUMS,
 })  # fmt: skip
 
 
@@ -104,6 +108,7 @@ PARTS = {
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
     "capacity": "What a pair of rests far apart says of the capacity.",
     "rests": "The charge between rests, and how long a cell has rested.",
+    "accumulate": "What a sketch adds up after a step.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -119,6 +124,7 @@ HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
     "cellwise_soh.h": "Capacity that is left, estimated between two rests far apart.",
+    "cellwise_sketch.h": "A sketch of the residual: sums for a diagnosis from nothing else.",
 }
 WHOLE = (
     "The filter, its parts compiled as one. In objects of their own a step of three states takes "
@@ -290,7 +296,8 @@ def print_files(options: Options) -> dict[str, str]:
         ]  # fmt: skip
         found[f"cellwise_{name}.h"] = "\n".join(text)
         before = name
-    includes = [f'#include "cellwise_{name}.h"' for name in ("ekf", "soh", "float", *parts)]
+    public = ("ekf", "soh", "sketch")
+    includes = [f'#include "cellwise_{name}.h"' for name in (*public, "float", *parts)]
     found["cellwise_ekf.c"] = "\n".join([*headed(WHOLE), *includes, ""])
     return found
 
@@ -332,7 +339,8 @@ def print_headers(made: Program, options: Options) -> dict[str, str]:
     blocks = {"status": status_bits(), "row": record("cellwise_row", layout.ROW, options)}
     for kind, table in layout.RECORDS.items():
         name = layout.c_name(kind)
-        blocks[name.removeprefix("cellwise_")] = record(name, table, options)
+        there = kind != "Sketch" or options.sketch
+        blocks[name.removeprefix("cellwise_")] = record(name, table, options) if there else []
     for name, public in PUBLIC.items():
         blocks[public] = []
         if name in made.functions:

@@ -107,6 +107,15 @@ CONSTANTS = (
     Field("rate_A", "1C", "OFFSET"),
     Field("rest_steps", "of a current that stands still, until it shows an offset", "OFFSET"),
     Field("contradicted_share", "dt / 600 s", "WIDE"),
+    Field("sketch_steps", "of a block of the sketch", "SKETCH", "u4"),
+    Field("sketch_most", "blocks of a simulation", "SKETCH", "u4"),
+    Field("sketch_s", "length of a block", "SKETCH"),
+    Field("sketch_keep", "of the model's slow error, from block to block", "SKETCH"),
+    Field("sketch_slow", "and of a current that a slow branch has followed", "SKETCH"),
+    Field("sketch_path", "e-folds of a hysteresis in one step at 1 A", "SKETCH"),
+    Field("sketch_V2", "of a block's voltage, by what is not slow", "SKETCH"),
+    Field("sketch_low", "SOC below which nothing is summed", "SKETCH"),
+    Field("sketch_soc2", "variance of SOC with which a simulation may begin", "SKETCH"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
     Field("heat_rate", "dt / thermal time constant", "HEATING"),
@@ -209,6 +218,44 @@ def _state() -> tuple[Field, ...]:
         Field("sequence", "of the last sample", "", "u4"),
         Field("rejections", "steps rejected in a row", "", "u4"),
         Field("evidence", "0: no sample yet, 1: no voltage yet, then 2 + steps since", "", "u4"),
+    )
+
+
+def _sketch() -> tuple[Field, ...]:
+    """Header, sums, then what is carried from block to block."""
+    followed = [
+        Field(CALLED[what](s), meaning, s.option.upper())
+        for what, meaning in (("state", ""), ("d", "that 1 A more would add"))
+        for s in BRANCHES
+    ]
+    return (
+        Field("magic", "set with the CRC by `cellwise_seal_sketch`", "", "u4"),
+        Field("model_crc", "of the tables", "", "u4"),
+        Field("generation", "counts what was sealed", "", "u4"),
+        Field("segments", "simulations that were summed,", "", "u4"),
+        Field("rows", "and their blocks", "", "u4"),
+        Field("sum", "of products, by pairs", "", "f4", "sketch"),
+        Field("carry", "what rounding has kept from them", "", "f4", "sketch"),
+        Field("past", "slow part of every regressor", "", "f4", "sketch", 55),
+        Field("now", "news of the last block", "", "f4", "sketch", 55),
+        Field("slow_V2", "variance of the slow part"),
+        Field("soc", "of the simulation"),
+        Field("start_soc"),
+        *followed,
+        Field("h", "", "HYSTERESIS"),
+        Field("offset_soc", "SOC by 1 A more"),
+        Field("slow_A", "current that a slow branch has followed"),
+        Field("path", "hysteresis that the model may lack"),
+        Field("last_V", "of the block before"),
+        Field("sum_A", "in this block"),
+        Field("sum_V"),
+        Field("count", "its samples,", "", "u4"),
+        Field("read", "and their voltages", "", "u4"),
+        Field("blocks", "since the simulation began", "", "u4"),
+        Field("counted", "whether one of them was summed", "", "u4"),
+        Field("on", "whether it runs", "", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+        Field("crc", "of all before it", "", "u4"),
     )
 
 
@@ -323,6 +370,7 @@ RECORDS = {
         Field("sequence", "of the last sample", "", "u4"),
         Field("begun", "0: no sample yet", "", "u4"),
     ),
+    "Sketch": _sketch(),
 }
 IN_C = {"Sample": "input", "Cell": "pack_cell"}  # where its name in C is another
 
@@ -353,7 +401,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 
 
 BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH = (
-    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
+    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:-1]
 )
 
 
@@ -370,6 +418,11 @@ def state_type(options: Options) -> np.dtype[Any]:
 def constant_type(options: Options) -> np.dtype[Any]:
     """Record type of the constants."""
     return _record_type(CONSTANTS, options)
+
+
+def sketch_type(options: Options) -> np.dtype[Any]:
+    """Record type of a sketch."""
+    return _record_type(RECORDS["Sketch"], options)
 
 
 def row_type(options: Options) -> np.dtype[Any]:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 MOST_CELLS = 1000
+SKETCH_SUMS = 66  # pairs of eleven regressors
 ARRHENIUS_POINTS = 161  # of each table over temperature
 # An option, and the effect that needs it.
 OPTION_OF = {
@@ -92,7 +93,8 @@ class Options:
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
     components for a start that nobody knows, ``offset`` the hypothesis of a current that is off,
-    ``soh`` the capacity that rests show.
+    ``soh`` the capacity that rests show,
+    ``sketch`` the number of sums that are kept of the residual.
     """
 
     points: int
@@ -118,6 +120,7 @@ class Options:
     bank: int = 0
     offset: int = 0
     soh: int = 0
+    sketch: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -154,6 +157,7 @@ class Asked:
     offset : bool             ask rests and voltages whether the current is off all the time, as the
                               float64 filters do
     soh : bool                estimate the capacity that is left between two rests far apart
+    sketch : int              bytes that sums of the residual for a diagnosis may take; 0: none
     """
 
     points: int | None = None
@@ -165,6 +169,7 @@ class Asked:
     components: int = COMPONENTS
     offset: bool = False
     soh: bool = False
+    sketch: int = 0
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -203,6 +208,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         bank=int(asked.wide and asked.components > 1),
         offset=int(asked.offset),
         soh=int(asked.soh),
+        sketch=SKETCH_SUMS if asked.sketch else 0,
     )
 
 
@@ -221,6 +227,7 @@ def flags_of(options: Options) -> dict[str, int]:
         "TEMPERATURES": int(options.temperatures > 1),
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
+        "SKETCH": int(options.sketch > 0),
         "WARM": int(options.needs_temperature),
         "VALIDITY": int(options.validity > 0),
         "THERMAL": int(options.validity > 1),

@@ -19,9 +19,10 @@ from cellwise.estimate.fixed.constants import (
     cell_constants,
     power_constants,
     remaining_constants,
+    sketch_constants,
     step_constants,
 )
-from cellwise.estimate.fixed.layout import constant_type, row_names
+from cellwise.estimate.fixed.layout import constant_type, row_names, sketch_type
 from cellwise.estimate.fixed.options import Asked, Options, options_of
 from cellwise.estimate.noise import Noise
 from cellwise.typing import FloatArray
@@ -201,6 +202,9 @@ def fixed_step_tables(
         more = power_constants(model, wish.power, dt_s)
     if wish.remaining_V is not None:
         more |= remaining_constants(model, wish.remaining_V, dt_s)
+    if wish.sketch:
+        check_room(wish.sketch, options)
+        more |= sketch_constants(model, dt_s, noise)
     if wish.cells is not None:
         more |= cell_constants(wish.cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
@@ -234,6 +238,19 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
             f"at most {1 / TARGET.smallest_gain:g} steps: float32 cannot hold slower ones",
             f"Give a time step of at least {TARGET.smallest_gain * slowest:.2g} s.",
         )
+
+
+def check_room(most: int, options: Options) -> None:
+    """Refuse a sketch that has no room.
+
+    Raises
+    ------
+    InputError        fewer bytes than it takes
+    """
+    needed = sketch_type(options).itemsize
+    if most < needed:
+        wanted = f"{needed} or more for this model"
+        raise InputError(f"{most} bytes for a sketch", wanted, "Give " + arg("sketch", 1024) + ".")
 
 
 def shortest_step_s(model: CellModel, options: Options) -> float:

@@ -1,0 +1,18 @@
+/* The header and the CRC of a sketch: a part of cellwise_store.c. */
+#ifndef CELLWISE_SEAL_H
+#define CELLWISE_SEAL_H
+
+#include "cellwise_crc.h"
+#include "cellwise_store.h"
+
+#define SKETCH_MAGIC 0x534B3031u /* "SK01" */
+
+void cellwise_seal_sketch(cellwise_sketch *sketch)
+{
+    sketch->magic = SKETCH_MAGIC;
+    sketch->model_crc = CELLWISE_MODEL_CRC;
+    sketch->generation = sketch->generation + 1u;
+    sketch->crc = ~more_words(CRC_BEGIN, (const uint8_t *)sketch, (uint32_t)(sizeof *sketch) - WORD);
+}
+
+#endif
