@@ -5,7 +5,7 @@
 #include "cellwise_crc.h"
 #include "cellwise_store.h"
 
-#define SKETCH_MAGIC 0x534B3031u /* "SK01" */
+#define SKETCH_MAGIC (0x534B3230u + CELLWISE_SKETCH) /* "SK", the version, what is kept */
 
 void cellwise_seal_sketch(cellwise_sketch *sketch)
 {

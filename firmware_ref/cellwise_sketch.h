@@ -14,39 +14,34 @@ typedef struct {
     uint32_t magic; /* set with the CRC by `cellwise_seal_sketch` */
     uint32_t model_crc; /* of the tables */
     uint32_t generation; /* counts what was sealed */
-    uint32_t segments; /* simulations that were summed, */
-    uint32_t rows; /* and their blocks */
-    float sum[CELLWISE_SKETCH]; /* of products, by pairs */
-    float carry[CELLWISE_SKETCH]; /* what rounding has kept from them */
-    float past[CELLWISE_SKETCH - 55u]; /* slow part of every regressor */
-    float now[CELLWISE_SKETCH - 55u]; /* news of the last block */
-    float slow_V2; /* variance of the slow part */
+    uint32_t unit; /* number of the target */
+    float segments; /* simulations that were summed, */
+    float rows; /* and their rows, faded as the sums are */
+    float sum[CELLWISE_SKETCH_SUMS]; /* of products, by pairs */
+    float carry[CELLWISE_SKETCH_SUMS]; /* what rounding has kept from them */
+    float past[CELLWISE_SKETCH]; /* slow part of residual and derivatives */
+    float now[CELLWISE_SKETCH]; /* their news in the last row */
+    float slow_V2; /* variance of the slow part; below 0: no row yet */
     float soc; /* of the simulation */
     float start_soc;
     float v1_V;
     float v2_V;
     float v3_V;
-    float d1_V; /* that 1 A more would add */
-    float d2_V; /* that 1 A more would add */
-    float d3_V; /* that 1 A more would add */
+    float fast_ohm; /* of the first branch, since the last row, */
+    float fast_gain; /* and what it follows in a step */
     float h;
-    float offset_soc; /* SOC by 1 A more */
     float slow_A; /* current that a slow branch has followed */
     float path; /* hysteresis that the model may lack */
-    float last_V; /* of the block before */
-    float sum_A; /* in this block */
-    float sum_V;
-    uint32_t count; /* its samples, */
-    uint32_t read; /* and their voltages */
-    uint32_t blocks; /* since the simulation began */
-    uint32_t counted; /* whether one of them was summed */
-    uint32_t on; /* whether it runs */
+    float sum_A; /* since the last row */
+    float last_A; /* current of the last sample */
+    uint32_t count; /* samples since the last row; all bits set: no simulation */
+    uint32_t blocks; /* rows since the simulation began */
     uint32_t sequence; /* of the last sample */
     uint32_t crc; /* of all before it */
 } cellwise_sketch;
 
-/* An empty sketch. */
-void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k);
+/* An empty sketch of the target with that number. */
+void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k, uint32_t unit);
 
 /* After a step: the sample of that step to the sketch. The simulation begins where the deviation of SOC is small. A
  * gap, or a current that no sensor can have meant, ends it. A sample that comes again is left out. */

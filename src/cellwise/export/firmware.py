@@ -50,7 +50,7 @@ uint32_t cellwise_bank_restore(const void *model, void *bank, void *of, uint32_t
                                const void *from, uint32_t age_s);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
-void cellwise_sketch_init(const void *model, void *sketch);
+void cellwise_sketch_init(const void *model, void *sketch, uint32_t unit);
 void cellwise_sketch_rows(const void *model, void *x, void *sketch, const void *in, void *out,
                           uint32_t samples);
 extern const char cellwise_cell[];

@@ -28,7 +28,7 @@ RECORDS = {
     kind: ("const " if kind in READ else "") + layout.c_name(ELEMENTS.get(kind, kind))
     for kind in ("Model", *layout.RECORDS, "States", "Cells", "Phases")
 } | {"Floats": "const float"}
-KEPT = ("State", "Cell", "Soh")  # from step to step: const where nothing is changed
+KEPT = ("State", "Cell", "Soh", "Sketch")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {
     "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",

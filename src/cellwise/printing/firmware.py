@@ -20,7 +20,7 @@ import numpy as np
 from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
-from cellwise.estimate.fixed.options import SKETCH_SUMS, Options, flags_of
+from cellwise.estimate.fixed.options import WHOLE_SKETCH, Options, flags_of
 from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
@@ -74,7 +74,7 @@ ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
     "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
-    "sketch": SKETCH_SUMS,
+    "sketch": WHOLE_SKETCH, "sketch_sums": WHOLE_SKETCH * (WHOLE_SKETCH + 1) // 2,
 })  # fmt: skip
 
 
@@ -200,7 +200,9 @@ def program(read: list[StepModule], options: Options) -> Program:
         structs=structs,
         constants=constants(),
         columns={f.name.upper(): f.name for f in layout.ROW},
-        sizes={f.name: size_of(f) for f in layout.CONSTANTS if f.size},
+        sizes={
+            f.name: size_of(f) for f in (*layout.CONSTANTS, *layout.RECORDS["Sketch"]) if f.size
+        },
         temperatures=options.temperatures > 1,
         public=PUBLIC,
         requirements=REQUIREMENTS,
@@ -296,8 +298,8 @@ def print_files(options: Options) -> dict[str, str]:
         ]  # fmt: skip
         found[f"cellwise_{name}.h"] = "\n".join(text)
         before = name
-    public = ("ekf", "soh", "sketch")
-    includes = [f'#include "cellwise_{name}.h"' for name in (*public, "float", *parts)]
+    names = ("ekf", "soh", "sketch", "float", *parts)
+    includes = [f'#include "cellwise_{name}.h"' for name in names]
     found["cellwise_ekf.c"] = "\n".join([*headed(WHOLE), *includes, ""])
     return found
 

@@ -71,11 +71,12 @@ TARGET = TargetLimits()
 class SketchSettings(NamedTuple):
     """How a residual is summed: decision 0015 has what was measured with these."""
 
-    block_s: float = 10.0  # of whose mean a simulation is made
+    row_s: float = 15.0  # from row to row of the sums
+    age_s: float = 1000.0 * 3600.0  # of use, after which a row counts for 1/e
     memory_s: float = 500.0  # of the model's slow error
     slow_s: float = 1500.0  # of a slow branch that the model may lack
     path_per_capacity: float = 60.0  # e-folds of a hysteresis that it may lack, over all of the SOC
-    block_V: float = 0.002  # what is not slow in a block
+    fast_V: float = 0.002  # what is not slow in a row
     low_soc: float = 0.2  # below it models of tests at constant current are off by far more
     start_soc: float = 0.02  # deviation of SOC at which a simulation begins
     longest_s: float = 8.0 * 3600.0  # then it begins again: what drifts is not the cause alone
@@ -159,18 +160,21 @@ def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
 
 
 def sketch_constants(model: CellModel, dt_s: float, noise: Noise) -> dict[str, Any]:
-    """Of a sketch of the residual, by blocks of about ten seconds."""
+    """Of a sketch of the residual, by rows of about fifteen seconds."""
     usual = SketchSettings()
-    steps = max(1, round(usual.block_s / dt_s))
-    block_s = steps * dt_s
+    steps = max(1, round(usual.row_s / dt_s))
+    row_s = steps * dt_s
     return {
+        "sketch_rows": steps,
         "sketch_steps": steps,
-        "sketch_most": max(1, round(usual.longest_s / block_s)),
-        "sketch_s": block_s,
-        "sketch_keep": np.exp(-block_s / usual.memory_s),
-        "sketch_slow": np.exp(-block_s / usual.slow_s),
+        "sketch_share": 1.0 / steps,
+        "sketch_most": max(1, round(usual.longest_s / row_s)),
+        "sketch_per_s": 1.0 / dt_s,
+        "sketch_fade": row_s / usual.age_s,
+        "sketch_keep": np.exp(-row_s / usual.memory_s),
+        "sketch_slow": np.exp(-row_s / usual.slow_s),
         "sketch_path": usual.path_per_capacity * dt_s / (3600.0 * model.capacity_Ah),
-        "sketch_V2": max(noise.voltage_V, usual.block_V) ** 2,
+        "sketch_V2": max(noise.voltage_V, usual.fast_V) ** 2,
         "sketch_low": usual.low_soc,
         "sketch_soc2": usual.start_soc**2,
     }

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 MOST_CELLS = 1000
-SKETCH_SUMS = 66  # pairs of eleven regressors
+# Residual and derivatives of a sketch: a small one, and one of every cause.
+SMALL_SKETCH, WHOLE_SKETCH = 7, 10
 ARRHENIUS_POINTS = 161  # of each table over temperature
 # An option, and the effect that needs it.
 OPTION_OF = {
@@ -94,7 +95,7 @@ class Options:
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
     components for a start that nobody knows, ``offset`` the hypothesis of a current that is off,
     ``soh`` the capacity that rests show,
-    ``sketch`` the number of sums that are kept of the residual.
+    ``sketch`` the residual and its derivatives in a sketch, ``sketch_sums`` their pairs.
     """
 
     points: int
@@ -121,6 +122,7 @@ class Options:
     offset: int = 0
     soh: int = 0
     sketch: int = 0
+    sketch_sums: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -186,6 +188,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
             "Leave `lean` or `offset` out.",
         )
     needed = {option: int(not is_neutral(model.effect(e))) for option, e in OPTION_OF.items()}
+    kept = WHOLE_SKETCH if asked.sketch else 0
     arrhenius = ARRHENIUS_POINTS if model.effect(TemperatureDependence).activation_K != 0.0 else 0
     activated = needed["surface"] and model.effect(SurfaceSoc).activation_K != 0.0
     depth = ARRHENIUS_POINTS if activated else 0
@@ -208,7 +211,8 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         bank=int(asked.wide and asked.components > 1),
         offset=int(asked.offset),
         soh=int(asked.soh),
-        sketch=SKETCH_SUMS if asked.sketch else 0,
+        sketch=kept,
+        sketch_sums=kept * (kept + 1) // 2,
     )
 
 
@@ -228,6 +232,7 @@ def flags_of(options: Options) -> dict[str, int]:
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
         "SKETCH": int(options.sketch > 0),
+        "SKETCH_LARGE": int(options.sketch == WHOLE_SKETCH),
         "WARM": int(options.needs_temperature),
         "VALIDITY": int(options.validity > 0),
         "THERMAL": int(options.validity > 1),

@@ -23,7 +23,13 @@ from cellwise.estimate.fixed.constants import (
     step_constants,
 )
 from cellwise.estimate.fixed.layout import constant_type, row_names, sketch_type
-from cellwise.estimate.fixed.options import Asked, Options, options_of
+from cellwise.estimate.fixed.options import (
+    SMALL_SKETCH,
+    WHOLE_SKETCH,
+    Asked,
+    Options,
+    options_of,
+)
 from cellwise.estimate.noise import Noise
 from cellwise.typing import FloatArray
 from cellwise.wording import arg
@@ -203,7 +209,7 @@ def fixed_step_tables(
     if wish.remaining_V is not None:
         more |= remaining_constants(model, wish.remaining_V, dt_s)
     if wish.sketch:
-        check_room(wish.sketch, options)
+        options = with_room(options, wish.sketch)
         more |= sketch_constants(model, dt_s, noise)
     if wish.cells is not None:
         more |= cell_constants(wish.cells, model, dt_s)
@@ -240,17 +246,20 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
         )
 
 
-def check_room(most: int, options: Options) -> None:
-    """Refuse a sketch that has no room.
+def with_room(options: Options, most: int) -> Options:
+    """The options with the sketch that so many bytes hold.
 
     Raises
     ------
-    InputError        fewer bytes than it takes
+    InputError        fewer bytes than the smallest one takes
     """
-    needed = sketch_type(options).itemsize
-    if most < needed:
-        wanted = f"{needed} or more for this model"
-        raise InputError(f"{most} bytes for a sketch", wanted, "Give " + arg("sketch", 1024) + ".")
+    for kept in (WHOLE_SKETCH, SMALL_SKETCH):
+        found = replace(options, sketch=kept, sketch_sums=kept * (kept + 1) // 2)
+        needed = sketch_type(found).itemsize
+        if needed <= most:
+            return found
+    wanted = f"{needed} or more for this model"
+    raise InputError(f"{most} bytes for a sketch", wanted, "Give " + arg("sketch", 256) + ".")
 
 
 def shortest_step_s(model: CellModel, options: Options) -> float:

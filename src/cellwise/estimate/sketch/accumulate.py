@@ -1,16 +1,16 @@
-"""A sketch of the residual: sums of an open-loop simulation beside the filter, by means of 10 s.
+"""A sketch of the residual: sums of an open-loop simulation beside the filter, every 15 s.
 
-The simulation starts where the filter knows the SOC and is never corrected. Residual and
-derivatives of its voltage by every cause are freed of what the model's slow error explains (one
-process of first order, by a scalar Kalman filter), and their products are summed: the normal
-equations of all causes.
+The simulation starts where the filter knows the SOC and is never corrected; between the rows of the
+sums it needs no table. Residual and derivatives of its voltage are freed of what the model's slow
+error explains (one process of first order, by a scalar Kalman filter), and their products are
+summed: the normal equations of all causes. A small sketch has the first of the derivatives alone.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cellwise.cell.description import BRANCHES
+from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
@@ -18,134 +18,142 @@ from cellwise.estimate.fixed.lookup import look_up, place_now
 from cellwise.estimate.fixed.state import taken
 
 
-class Block(NamedTuple):
-    """Of one block: mean SOC and current, voltage, OCV slope, drops, what of it may be off."""
+class Simulated(NamedTuple):
+    """Of a row: voltage, OCV slope, drops, their change in a step, what of it may be off."""
 
-    soc: float
-    current: float
     voltage_V: float
     slope_V: float
     drop_V: float
     drop_per_A: float
+    change_V: float
     fast_V2: float
     slow_V2: float
 
 
-def clear_sketch(m: Model, k: Sketch) -> None:
-    """An empty sketch."""
+def clear_sketch(m: Model, k: Sketch, unit: int) -> None:
+    """An empty sketch of the target with that number."""
     k.generation = U(0)
-    k.sequence = U(0)
-    k.segments = U(0)
-    k.rows = U(0)
-    k.on = U(0)
-    for a in range(REGRESSORS):
+    k.unit = unit
+    k.segments = 0.0
+    k.rows = 0.0
+    k.count = NOT_SIMULATED
+    k.blocks = U(0)
+    for a in range(U(k.past.size)):
         k.past[a] = 0.0
         k.now[a] = 0.0
-    for a in range(SKETCH_SUMS):
+    for a in range(U(k.sum.size)):
         k.sum[a] = 0.0
-        k.carry[a] = 0.0
+        if SKETCH_LARGE:
+            k.carry[a] = 0.0
 
 
-def anchor(x: State, k: Sketch) -> None:
+def fade(c: Constants, k: Sketch) -> None:
+    """What was summed counts for less after the rows of one more simulation."""
+    keep = 1.0 - (c.sketch_fade * F(k.blocks))
+    k.segments = keep * k.segments
+    k.rows = keep * k.rows
+    for a in range(U(k.sum.size)):
+        k.sum[a] = keep * k.sum[a]
+        if SKETCH_LARGE:
+            k.carry[a] = keep * k.carry[a]
+
+
+def anchor(c: Constants, x: State, k: Sketch) -> None:
     """The simulation's SOC is the filter's from here on."""
+    fade(c, k)
     k.soc = x.soc
-    k.start_soc = x.soc
-    k.offset_soc = 0.0
+    if SKETCH_LARGE:
+        k.start_soc = x.soc
     k.blocks = U(0)
-    k.counted = U(0)
-    for a in range(REGRESSORS):
+    k.slow_V2 = -1.0
+    for a in range(U(k.past.size)):
         k.past[a] = 0.0
 
 
 @unrolled_by_option
-def begin_segment(x: State, k: Sketch) -> None:
+def begin_segment(m: Model, x: State, k: Sketch) -> None:
     """A cell at rest. What the filter guesses of its branches under load is no evidence."""
-    anchor(x, k)
+    anchor(m.constant, x, k)
+    place = place_now(m, x)
+    p = look_up(m, place, k.soc, 0.0)
+    k.fast_ohm = p.r1_ohm
+    k.fast_gain = p.gain1
     for i in BRANCHES:
         k.state[i] = 0.0
-        k.d[i] = 0.0
     if HYSTERESIS:
         k.h = x.h
     k.slow_A = 0.0
     k.path = 0.0
-    k.last_V = 0.0
     k.sum_A = 0.0
-    k.sum_V = 0.0
+    k.last_A = 0.0
     k.count = U(0)
-    k.read = U(0)
-    k.on = U(1)
+
+
+def follow_path(c: Constants, h: float, current: float, per_A: float) -> float:
+    """A hysteresis after a row's mean current."""
+    end = 1.0 if current < 0.0 else -1.0
+    return h + (risen((per_A * magnitude(current)) * c.sketch_steps) * (end - h))
 
 
 @unrolled_by_option
-def simulate_block(m: Model, x: State, k: Sketch, current: float, steps: float) -> Block:
-    """Over one block at its mean current; voltages are means of the block."""
+def simulate_row(m: Model, x: State, k: Sketch, current: float, mean_A: float) -> Simulated:
+    """The voltage now: slow states over the row's mean current, the fast one has followed."""
     c = m.constant
-    used = steps * taken(c, x, current)
-    soc = k.soc - (0.5 * used)
-    k.soc = clip(k.soc - used, -1.0, 2.0)
+    k.soc = clip(k.soc - (c.sketch_steps * taken(c, x, mean_A)), -1.0, 2.0)
     place = place_now(m, x)
-    p = look_up(m, place, soc, current)
-    drop_V = p.r0_ohm * current
-    drop_per_A = p.r0_ohm
-    z: dict[Any, float] = {}
-    left: dict[Any, float] = {}
-    share: dict[Any, float] = {}
-    end: dict[Any, float] = {}
-    for i in BRANCHES:
-        z[i] = steps * (p.gain[i] / (1.0 - (0.5 * p.gain[i]))) if THERE else 0.0
-        left[i] = vanishing(z[i]) if THERE else 0.0
-        share[i] = (1.0 - left[i]) / z[i] if THERE else 0.0
-        end[i] = p.r[i] * current if THERE else 0.0
-        drop_V = drop_V + (end[i] + (share[i] * (k.state[i] - end[i])))
-        k.state[i] = end[i] + (left[i] * (k.state[i] - end[i]))
-        drop_per_A = drop_per_A + (p.r[i] + (share[i] * (k.d[i] - p.r[i])))
-        k.d[i] = p.r[i] + (left[i] * (k.d[i] - p.r[i]))
+    p = look_up(m, place, k.soc, current)
+    change_V = (p.r0_ohm * (current - k.last_A)) + (
+        k.fast_gain * ((k.fast_ohm * current) - k.state[V1])
+    )
+    drop_V = (p.r0_ohm * current) + k.state[V1]
+    drop_per_A = p.r0_ohm + p.r1_ohm
+    k.fast_ohm = p.r1_ohm
+    k.fast_gain = p.gain1
+    gain: dict[Any, float] = {}
+    for i in (V2, V3):
+        gain[i] = risen(c.sketch_steps * p.gain[i]) if THERE else 0.0
+        k.state[i] = k.state[i] + (gain[i] * ((p.r[i] * mean_A) - k.state[i]))
+        drop_V = drop_V + k.state[i]
+        drop_per_A = drop_per_A + p.r[i]
     voltage_V = p.ocv_V - drop_V
     if HYSTERESIS:
-        keep = vanishing((c.hysteresis_per_A * magnitude(current)) * steps)
-        end_h = 1.0 if current < 0.0 else -1.0
-        k.h = end_h + (keep * (k.h - end_h))
+        k.h = follow_path(c, k.h, mean_A, c.hysteresis_per_A)
         voltage_V = voltage_V + (p.m_V * k.h)
     fast_V2 = c.sketch_V2 + (c.share_variance * (drop_V * drop_V))
     slow_V2 = p.noise_V2 - c.fixed_V2
-    return Block(soc, current, voltage_V, p.slope_V, drop_V, drop_per_A, fast_V2, slow_V2)
+    return Simulated(voltage_V, p.slope_V, drop_V, drop_per_A, change_V, fast_V2, slow_V2)
 
 
-def derive(c: Constants, k: Sketch, b: Block, steps: float) -> None:
+def derive(c: Constants, k: Sketch, r: Simulated, current: float, mean_A: float) -> None:
     """Derivatives of the voltage by every cause, in the order of `cellwise.diagnose.sketched`."""
-    gone = k.start_soc - b.soc
-    offset_soc = k.offset_soc + ((0.5 * steps) * c.soc_per_A)
-    k.offset_soc = k.offset_soc + (steps * c.soc_per_A)
-    k.slow_A = b.current + (c.sketch_slow * (k.slow_A - b.current))
-    keep = vanishing((c.sketch_path * magnitude(b.current)) * steps)
-    end = 1.0 if b.current < 0.0 else -1.0
-    k.path = end + (keep * (k.path - end))
-    k.now[0] = b.drop_per_A + (b.slope_V * offset_soc)
-    k.now[1] = b.drop_V + (b.slope_V * gone)
-    k.now[2] = 1.0
-    k.now[3] = 0.0
-    if k.blocks > U(0):
-        k.now[3] = (k.last_V - b.voltage_V) / c.sketch_s
-    k.now[4] = -b.current
-    k.now[5] = -b.drop_V
-    k.now[6] = -k.slow_A
-    k.now[7] = k.path
-    k.now[8] = b.slope_V * gone
-    k.now[9] = b.slope_V
-    k.last_V = b.voltage_V
+    k.slow_A = mean_A + (c.sketch_slow * (k.slow_A - mean_A))
+    k.path = follow_path(c, k.path, mean_A, c.sketch_path)
+    offset_soc = (F(k.blocks) * c.sketch_steps) * c.soc_per_A
+    k.now[1] = r.drop_per_A + (r.slope_V * offset_soc)
+    k.now[2] = r.change_V * c.sketch_per_s
+    k.now[3] = -r.drop_V
+    k.now[4] = -k.slow_A
+    k.now[5] = k.path
+    k.now[6] = r.slope_V
+    if SKETCH_LARGE:
+        k.now[7] = 1.0
+        k.now[8] = -current
+        k.now[9] = r.slope_V * (k.start_soc - k.soc)
 
 
 def whiten(c: Constants, k: Sketch, fast_V2: float, slow_V2: float) -> float:
-    """What the last blocks do not explain of this one; returns one over its variance."""
+    """What the rows before do not explain of this one; returns one over its variance."""
     keep = c.sketch_keep
     square = keep * keep
     before = slow_V2
-    if k.counted == U(1):
+    if k.slow_V2 >= 0.0:
         before = (square * k.slow_V2) + ((1.0 - square) * slow_V2)
+    else:
+        k.segments = k.segments + 1.0
     inverse = 1.0 / (before + fast_V2)
     gain = before * inverse
     k.slow_V2 = before * (1.0 - gain)
-    for a in range(REGRESSORS):
+    for a in range(U(k.past.size)):
         known = keep * k.past[a]
         news = k.now[a] - known
         k.past[a] = known + (gain * news)
@@ -154,37 +162,36 @@ def whiten(c: Constants, k: Sketch, fast_V2: float, slow_V2: float) -> float:
 
 
 def sum_up(k: Sketch, inverse: float) -> None:
-    """Products of all pairs, weighed, into compensated sums."""
+    """Products of all pairs, weighed, into sums: compensated ones where there is room."""
     at = U(0)
-    for a in range(REGRESSORS):
+    for a in range(U(k.past.size)):
         weighed = inverse * k.now[a]
         for b in range(U(a + 1)):
             more = weighed * k.now[b]
-            k.sum[at], k.carry[at] = add(k.sum[at], k.carry[at], more)
+            if SKETCH_LARGE:
+                k.sum[at], k.carry[at] = add(k.sum[at], k.carry[at], more)
+            else:
+                k.sum[at] = k.sum[at] + more
             at = U(at + 1)
-    k.rows = U(k.rows + 1)
+    k.rows = k.rows + 1.0
 
 
 @noinline
-def end_block(m: Model, x: State, k: Sketch) -> None:
-    """Simulate the block, and sum it where the model says what it should."""
+def end_row(m: Model, x: State, k: Sketch, current: float, voltage_V: float) -> None:
+    """Simulate the voltage that was read now, and sum where the model says what it should be."""
     c = m.constant
-    steps = F(k.count)
-    b = simulate_block(m, x, k, k.sum_A / steps, steps)
-    derive(c, k, b, steps)
-    if k.read > U(0) and b.soc > c.sketch_low:
-        k.now[RESIDUAL] = (k.sum_V / F(k.read)) - b.voltage_V
-        sum_up(k, whiten(c, k, b.fast_V2, b.slow_V2))
-        if k.counted == U(0):
-            k.segments = U(k.segments + 1)
-            k.counted = U(1)
     k.blocks = U(k.blocks + 1)
+    mean_A = k.sum_A * c.sketch_share
+    r = simulate_row(m, x, k, current, mean_A)
+    derive(c, k, r, current, mean_A)
+    shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
+    if shown and k.soc > c.sketch_low:
+        k.now[0] = voltage_V - r.voltage_V
+        sum_up(k, whiten(c, k, r.fast_V2, r.slow_V2))
     k.count = U(0)
-    k.read = U(0)
     k.sum_A = 0.0
-    k.sum_V = 0.0
     if k.blocks >= c.sketch_most and x.ss <= c.sketch_soc2:
-        anchor(x, k)
+        anchor(c, x, k)
 
 
 def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
@@ -194,20 +201,19 @@ def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
     sensor can have meant, ends it. A sample that comes again is left out.
     """
     c = m.constant
-    if k.on == U(0) or sample.sequence != k.sequence:
-        if k.on == U(1) and sample.sequence != U(k.sequence + 1):
-            k.on = U(0)
-        k.sequence = sample.sequence
-        if not size_within(sample.current_A, c.current_limit_A):
-            k.on = U(0)
-        elif k.on == U(0):
-            if x.ss <= c.sketch_soc2:
-                begin_segment(x, k)
+    elapsed = U(sample.sequence - k.sequence)
+    k.sequence = sample.sequence
+    if k.count == NOT_SIMULATED:
+        if x.ss <= c.sketch_soc2:
+            begin_segment(m, x, k)
+    elif elapsed != U(0):
+        current = sample.current_A
+        if elapsed != U(1) or not size_within(current, c.current_limit_A):
+            k.count = NOT_SIMULATED
         else:
-            k.sum_A = k.sum_A + sample.current_A
-            if positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V):
-                k.sum_V = k.sum_V + sample.voltage_V
-                k.read = U(k.read + 1)
+            k.sum_A = k.sum_A + current
+            k.v1_V = k.v1_V + (k.fast_gain * ((k.fast_ohm * current) - k.v1_V))
             k.count = U(k.count + 1)
-            if k.count >= c.sketch_steps:
-                end_block(m, x, k)
+            if k.count >= c.sketch_rows:
+                end_row(m, x, k, current, sample.voltage_V)
+            k.last_A = current

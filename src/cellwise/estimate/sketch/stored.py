@@ -10,46 +10,51 @@ from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import sketch_type
-from cellwise.estimate.fixed.options import SKETCH_SUMS
+from cellwise.estimate.fixed.options import SMALL_SKETCH, WHOLE_SKETCH
 from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.typing import FloatArray
 
-MAGIC = 0x534B3031  # `SK01`: the version is part of it
-REGRESSORS = 11  # ten causes and, last, the residual
-# From the end of the header on, in every sketch of this version.
-HEADER = np.dtype([(n, "<u4") for n in ("magic", "model_crc", "generation", "segments", "rows")])
+MAGIC = 0x534B3230  # `SK20`: its last letters are the version
+SIZES = {MAGIC + kept: kept for kept in (SMALL_SKETCH, WHOLE_SKETCH)}  # residual and derivatives
+# From the first byte on, in every sketch of this version; the sums follow, last is the CRC.
+HEADER = np.dtype(
+    [(n, "<u4") for n in ("magic", "model_crc", "generation", "unit")]
+    + [(n, "<f4") for n in ("segments", "rows")]
+)
 
 
 class SketchSums(NamedTuple):
-    """Normal equations of one sketch, or of several: products of causes, those with the residual.
+    """Normal equations of one sketch.
 
-    ``products`` (10, 10), ``with_residual`` (10,), both a simulation's mean and over the mean
-    square of the residual where that is above one; ``segments`` simulations of ``rows`` blocks.
+    ``products`` (n, n) of the derivatives, ``with_residual`` (n,), both a simulation's mean and
+    over the mean square of the residual where that is above one; ``segments`` simulations of
+    ``rows`` rows, faded; ``unit`` the target's number.
     """
 
     products: FloatArray
     with_residual: FloatArray
-    segments: int
-    rows: int
+    segments: float
+    rows: float
     generation: int
+    unit: int
     model_crc: int
 
-    def head(self) -> dict[str, int]:
+    def head(self) -> dict[str, Any]:
         """What it is of, as JSON values."""
-        return {n: getattr(self, n) for n in ("generation", "segments", "rows")}
+        return {n: getattr(self, n) for n in ("unit", "generation", "segments", "rows")}
 
 
-def empty_sketch(stepper: Stepper) -> NDArray[Any]:
-    """A sketch of one record, for tables that were made with ``sketch=True``."""
+def empty_sketch(stepper: Stepper, unit: int = 0) -> NDArray[Any]:
+    """A sketch of one record of the target with that number, for tables with ``sketch``."""
     sketch = np.zeros(1, dtype=sketch_type(stepper.tables.options))
-    stepper.call("clear_sketch", sketch)
+    stepper.call("clear_sketch", sketch, unit)
     return sketch
 
 
 def sealed(sketch: NDArray[Any], tables: FixedStepTables) -> bytes:
     """What a target keeps: the record with its header and its CRC, as `cellwise_seal_sketch`."""
-    sketch["magic"] = MAGIC
+    sketch["magic"] = MAGIC + tables.options.sketch
     sketch["model_crc"] = zlib.crc32(tables.to_bytes())
     sketch["generation"] += 1
     sketch["crc"] = zlib.crc32(sketch.tobytes()[:-4])
@@ -63,22 +68,25 @@ def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
     ------
     InputError        no sketch, another version, damaged bits; nothing summed
     """
-    at = HEADER.itemsize
-    if len(block) < at + 8 * SKETCH_SUMS + 4 or int.from_bytes(block[:4], "little") != MAGIC:
+    kept = SIZES.get(int.from_bytes(block[:4], "little"), 0)
+    pairs = kept * (kept + 1) // 2
+    arrays = 2 if kept == WHOLE_SKETCH else 1  # sums, and what rounding has kept from them
+    if not kept or len(block) < HEADER.itemsize + 4 * arrays * pairs + 4:
         raise _refused(name, f"{len(block)} bytes that are no sketch of this version")
     if zlib.crc32(block[:-4]) != int.from_bytes(block[-4:], "little"):
         raise _refused(name, "bits that are damaged")
     head = np.frombuffer(block, HEADER, 1)[0]
-    both = np.frombuffer(block, "<f4", 2 * SKETCH_SUMS, at).astype(float)
-    total = both[:SKETCH_SUMS] - both[SKETCH_SUMS:]
-    if not np.all(np.isfinite(total)) or not head["segments"]:
+    both = np.frombuffer(block, "<f4", arrays * pairs, HEADER.itemsize).astype(float)
+    total = both[:pairs] - (both[pairs:] if arrays > 1 else 0.0)
+    if not np.all(np.isfinite(total)) or not head["segments"] > 0.0:
         raise _refused(name, "nothing that was summed")
-    square = np.zeros((REGRESSORS, REGRESSORS))
-    square[np.tril_indices(REGRESSORS)] = total
+    square = np.zeros((kept, kept))
+    square[np.tril_indices(kept)] = total
     square = square + np.tril(square, -1).T
-    share = 1.0 / (float(head["segments"]) * max(square[-1, -1] / float(head["rows"]), 1.0))
-    found = (int(head[n]) for n in ("segments", "rows", "generation", "model_crc"))
-    return SketchSums(share * square[:-1, :-1], share * square[-1, :-1], *found)
+    share = 1.0 / (float(head["segments"]) * max(square[0, 0] / float(head["rows"]), 1.0))
+    found = (float(head[n]) for n in ("segments", "rows"))
+    marks = (int(head[n]) for n in ("generation", "unit", "model_crc"))
+    return SketchSums(share * square[1:, 1:], share * square[0, 1:], *found, *marks)
 
 
 def _refused(name: str, what: str) -> InputError:
