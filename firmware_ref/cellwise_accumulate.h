@@ -31,7 +31,7 @@ void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k, uint32_t 
     }
     for (uint32_t a = 0u; a < CELLWISE_SKETCH_SUMS; a++) {
         k->sum[a] = 0.0f;
-        k->carry[a] = 0.0f;
+        k->part[a] = 0.0f;
     }
 }
 
@@ -42,8 +42,9 @@ static void fade(const cellwise_constants *c, cellwise_sketch *k)
     k->segments = keep * k->segments;
     k->rows = keep * k->rows;
     for (uint32_t a = 0u; a < CELLWISE_SKETCH_SUMS; a++) {
+        k->sum[a] = k->sum[a] + k->part[a];
+        k->part[a] = 0.0f;
         k->sum[a] = keep * k->sum[a];
-        k->carry[a] = keep * k->carry[a];
     }
 }
 
@@ -160,7 +161,8 @@ static float whiten(const cellwise_constants *c, cellwise_sketch *k, float fast_
     return inverse;
 }
 
-/* Products of all pairs, weighed, into sums: compensated ones where there is room. */
+/* Products of all pairs, weighed, into sums. Where there is room a simulation has sums of its own: 240,000 rows of
+ * 1,000 h would lose up to 0.7 % in one float each. */
 static void sum_up(cellwise_sketch *k, float inverse)
 {
     uint32_t at = 0u;
@@ -168,7 +170,7 @@ static void sum_up(cellwise_sketch *k, float inverse)
         const float weighed = inverse * k->now[a];
         for (uint32_t b = 0u; b < a + 1u; b++) {
             const float more = weighed * k->now[b];
-            add(&k->sum[at], &k->carry[at], more);
+            k->part[at] = k->part[at] + more;
             at = at + 1u;
         }
     }

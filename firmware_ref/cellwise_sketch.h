@@ -18,7 +18,7 @@ typedef struct {
     float segments; /* simulations that were summed, */
     float rows; /* and their rows, faded as the sums are */
     float sum[CELLWISE_SKETCH_SUMS]; /* of products, by pairs */
-    float carry[CELLWISE_SKETCH_SUMS]; /* what rounding has kept from them */
+    float part[CELLWISE_SKETCH_SUMS]; /* those of this simulation */
     float past[CELLWISE_SKETCH]; /* slow part of residual and derivatives */
     float now[CELLWISE_SKETCH]; /* their news in the last row */
     float slow_V2; /* variance of the slow part; below 0: no row yet */

@@ -234,7 +234,7 @@ def _sketch() -> tuple[Field, ...]:
         Field("segments", "simulations that were summed,"),
         Field("rows", "and their rows, faded as the sums are"),
         Field("sum", "of products, by pairs", "", "f4", "sketch_sums"),
-        Field("carry", "what rounding has kept from them", "SKETCH_LARGE", "f4", "sketch_sums"),
+        Field("part", "those of this simulation", "SKETCH_LARGE", "f4", "sketch_sums"),
         Field("past", "slow part of residual and derivatives", "", "f4", "sketch"),
         Field("now", "their news in the last row", "", "f4", "sketch"),
         Field("slow_V2", "variance of the slow part; below 0: no row yet"),

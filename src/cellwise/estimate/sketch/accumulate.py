@@ -44,7 +44,7 @@ def clear_sketch(m: Model, k: Sketch, unit: int) -> None:
     for a in range(U(k.sum.size)):
         k.sum[a] = 0.0
         if SKETCH_LARGE:
-            k.carry[a] = 0.0
+            k.part[a] = 0.0
 
 
 def fade(c: Constants, k: Sketch) -> None:
@@ -53,9 +53,10 @@ def fade(c: Constants, k: Sketch) -> None:
     k.segments = keep * k.segments
     k.rows = keep * k.rows
     for a in range(U(k.sum.size)):
-        k.sum[a] = keep * k.sum[a]
         if SKETCH_LARGE:
-            k.carry[a] = keep * k.carry[a]
+            k.sum[a] = k.sum[a] + k.part[a]
+            k.part[a] = 0.0
+        k.sum[a] = keep * k.sum[a]
 
 
 def anchor(c: Constants, x: State, k: Sketch) -> None:
@@ -162,14 +163,18 @@ def whiten(c: Constants, k: Sketch, fast_V2: float, slow_V2: float) -> float:
 
 
 def sum_up(k: Sketch, inverse: float) -> None:
-    """Products of all pairs, weighed, into sums: compensated ones where there is room."""
+    """Products of all pairs, weighed, into sums.
+
+    Where there is room a simulation has sums of its own: 240,000 rows of 1,000 h would lose up to
+    0.7 % in one float each.
+    """
     at = U(0)
     for a in range(U(k.past.size)):
         weighed = inverse * k.now[a]
         for b in range(U(a + 1)):
             more = weighed * k.now[b]
             if SKETCH_LARGE:
-                k.sum[at], k.carry[at] = add(k.sum[at], k.carry[at], more)
+                k.part[at] = k.part[at] + more
             else:
                 k.sum[at] = k.sum[at] + more
             at = U(at + 1)

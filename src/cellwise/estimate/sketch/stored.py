@@ -70,14 +70,14 @@ def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
     """
     kept = SIZES.get(int.from_bytes(block[:4], "little"), 0)
     pairs = kept * (kept + 1) // 2
-    arrays = 2 if kept == WHOLE_SKETCH else 1  # sums, and what rounding has kept from them
+    arrays = 2 if kept == WHOLE_SKETCH else 1  # of simulations before, of this one
     if not kept or len(block) < HEADER.itemsize + 4 * arrays * pairs + 4:
         raise _refused(name, f"{len(block)} bytes that are no sketch of this version")
     if zlib.crc32(block[:-4]) != int.from_bytes(block[-4:], "little"):
         raise _refused(name, "bits that are damaged")
     head = np.frombuffer(block, HEADER, 1)[0]
     both = np.frombuffer(block, "<f4", arrays * pairs, HEADER.itemsize).astype(float)
-    total = both[:pairs] - (both[pairs:] if arrays > 1 else 0.0)
+    total = both[:pairs] + (both[pairs:] if arrays > 1 else 0.0)
     if not np.all(np.isfinite(total)) or not head["segments"] > 0.0:
         raise _refused(name, "nothing that was summed")
     square = np.zeros((kept, kept))
