@@ -13,7 +13,8 @@ typedef struct {
     float drop_per_A;
     float change_V;
     float fast_V2;
-    float slow_V2;
+    float slow_V;
+    float share_V;
 } cellwise_simulated;
 
 void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k, uint32_t unit)
@@ -55,9 +56,10 @@ static void anchor(const cellwise_constants *c, const cellwise_state *x, cellwis
     k->soc = x->soc;
     k->start_soc = x->soc;
     k->blocks = 0u;
-    k->slow_V2 = -1.0f;
+    k->slow = -1.0f;
     for (uint32_t a = 0u; a < CELLWISE_SKETCH; a++) {
         k->past[a] = 0.0f;
+        k->past_share[a] = 0.0f;
     }
 }
 
@@ -91,7 +93,7 @@ static float follow_path(const cellwise_constants *c, float h, float current, fl
 
 /* The voltage now: slow states over the row's mean current, the fast one has followed. */
 static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k, float current,
-                         float mean_A, cellwise_simulated *simulated)
+                         float jump_A, float mean_A, cellwise_simulated *simulated)
 {
     const cellwise_constants *const c = &m->constant;
     k->soc = clip(k->soc - (c->sketch_steps * taken(c, x, mean_A)), -1.0f, 2.0f);
@@ -99,7 +101,7 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
     place_now(m, x, &place);
     cellwise_point p;
     look_up(m, &place, k->soc, current, &p);
-    simulated->change_V = (p.r0_ohm * (current - k->last_A)) + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
+    simulated->change_V = (p.r0_ohm * jump_A) + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
     simulated->drop_V = (p.r0_ohm * current) + k->v1_V;
     simulated->drop_per_A = p.r0_ohm + p.r1_ohm;
     k->fast_ohm = p.r1_ohm;
@@ -115,8 +117,13 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
     simulated->voltage_V = p.ocv_V - simulated->drop_V;
     k->h = follow_path(c, k->h, mean_A, c->hysteresis_per_A);
     simulated->voltage_V = simulated->voltage_V + (p.m_V * k->h);
-    simulated->fast_V2 = c->sketch_V2 + (c->share_variance * (simulated->drop_V * simulated->drop_V));
-    simulated->slow_V2 = p.noise_V2 - c->fixed_V2;
+    const float stated_V2 = p.noise_V2 - c->fixed_V2;
+    const float square_V2 = simulated->drop_V * simulated->drop_V;
+    simulated->fast_V2 = c->sketch_V2 + ((c->sketch_fast * stated_V2) + (c->sketch_fast_share * square_V2));
+    simulated->slow_V = 0.0f;
+    simulated->share_V = 0.0f;
+    simulated->slow_V = root(c->sketch_slow * stated_V2);
+    simulated->share_V = c->sketch_slow_share * simulated->drop_V;
     simulated->slope_V = p.slope_V;
 }
 
@@ -124,38 +131,52 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
 static void derive(const cellwise_constants *c, cellwise_sketch *k, const cellwise_simulated *r, float current,
                    float mean_A)
 {
-    k->slow_A = mean_A + (c->sketch_slow * (k->slow_A - mean_A));
+    k->slow_A = mean_A + (c->sketch_branch * (k->slow_A - mean_A));
     k->path = follow_path(c, k->path, mean_A, c->sketch_path);
     const float offset_soc = ((float)k->blocks * c->sketch_steps) * c->soc_per_A;
     k->now[1u] = r->drop_per_A + (r->slope_V * offset_soc);
     k->now[2u] = r->change_V * c->sketch_per_s;
-    k->now[3u] = -r->drop_V;
-    k->now[4u] = -k->slow_A;
-    k->now[5u] = k->path;
-    k->now[6u] = r->slope_V;
-    k->now[7u] = 1.0f;
+    k->now[3u] = -k->slow_A;
+    k->now[4u] = k->path;
+    k->now[5u] = r->slope_V;
+    k->now[6u] = 1.0f;
+    k->now[7u] = -r->drop_V;
     k->now[8u] = -current;
     k->now[9u] = r->slope_V * (k->start_soc - k->soc);
 }
 
-/* What the rows before do not explain of this one; returns one over its variance. */
-static float whiten(const cellwise_constants *c, cellwise_sketch *k, float fast_V2, float slow_V2)
+/* What the rows before do not explain of this one; returns one over its variance. Two processes of unit variance,
+ * which a row has `slow_V` and `share_V` of; a small sketch has one for both. */
+static float whiten(const cellwise_constants *c, cellwise_sketch *k, const cellwise_simulated *r)
 {
     const float keep = c->sketch_keep;
     const float square = keep * keep;
-    float before = slow_V2;
-    if (k->slow_V2 >= 0.0f) {
-        before = (square * k->slow_V2) + ((1.0f - square) * slow_V2);
-    } else {
+    if (k->slow < 0.0f) {
         k->segments = k->segments + 1.0f;
+        k->slow = 1.0f;
+        k->share = 1.0f;
+        k->both = 0.0f;
     }
-    const float inverse = 1.0f / (before + fast_V2);
-    const float gain = before * inverse;
-    k->slow_V2 = before * (1.0f - gain);
+    k->slow = (square * k->slow) + (1.0f - square);
+    float slow = k->slow * r->slow_V;
+    float inverse = 1.0f / (r->fast_V2 + (r->slow_V * slow));
+    k->share = (square * k->share) + (1.0f - square);
+    k->both = square * k->both;
+    slow = slow + (k->both * r->share_V);
+    const float share = (k->both * r->slow_V) + (k->share * r->share_V);
+    inverse = 1.0f / (r->fast_V2 + ((r->slow_V * slow) + (r->share_V * share)));
+    const float share_gain = share * inverse;
+    k->share = k->share - (share * share_gain);
+    k->both = k->both - (slow * share_gain);
+    const float slow_gain = slow * inverse;
+    k->slow = k->slow - (slow * slow_gain);
     for (uint32_t a = 0u; a < CELLWISE_SKETCH; a++) {
         const float known = keep * k->past[a];
-        const float news = k->now[a] - known;
-        k->past[a] = known + (gain * news);
+        float news = k->now[a] - (r->slow_V * known);
+        const float known_share = keep * k->past_share[a];
+        news = news - (r->share_V * known_share);
+        k->past_share[a] = known_share + (share_gain * news);
+        k->past[a] = known + (slow_gain * news);
         k->now[a] = news;
     }
     return inverse;
@@ -179,18 +200,18 @@ static void sum_up(cellwise_sketch *k, float inverse)
 
 /* Simulate the voltage that was read now, and sum where the model says what it should be. */
 static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k, float current,
-                             float voltage_V)
+                             float jump_A, float voltage_V)
 {
     const cellwise_constants *const c = &m->constant;
     k->blocks = k->blocks + 1u;
     const float mean_A = k->sum_A * c->sketch_share;
     cellwise_simulated r;
-    simulate_row(m, x, k, current, mean_A, &r);
+    simulate_row(m, x, k, current, jump_A, mean_A, &r);
     derive(c, k, &r, current, mean_A);
     const bool shown = POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V);
     if (shown && (k->soc > c->sketch_low)) {
         k->now[0u] = voltage_V - r.voltage_V;
-        sum_up(k, whiten(c, k, r.fast_V2, r.slow_V2));
+        sum_up(k, whiten(c, k, &r));
     }
     k->count = 0u;
     k->sum_A = 0.0f;
@@ -210,17 +231,19 @@ void cellwise_sketch_add(const cellwise_model *m, const cellwise_state *x, cellw
             begin_segment(m, x, k);
         }
     } else if (elapsed != 0u) {
-        const float current = sample->current_A;
-        if ((elapsed != 1u) || !SIZE_WITHIN(current, c->current_limit_A)) {
+        const float read_A = sample->current_A;
+        if ((elapsed != 1u) || !SIZE_WITHIN(read_A, c->current_limit_A)) {
             k->count = NOT_SIMULATED;
         } else {
+            const float jump_A = read_A - k->last_A;
+            k->last_A = read_A;
+            const float current = read_A - (c->skew_share * jump_A);
             k->sum_A = k->sum_A + current;
             k->v1_V = k->v1_V + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
             k->count = k->count + 1u;
             if (k->count >= c->sketch_rows) {
-                end_row(m, x, k, current, sample->voltage_V);
+                end_row(m, x, k, current, jump_A, sample->voltage_V);
             }
-            k->last_A = current;
         }
     } else { /* as before */
     }

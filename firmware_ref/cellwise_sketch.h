@@ -19,9 +19,12 @@ typedef struct {
     float rows; /* and their rows, faded as the sums are */
     float sum[CELLWISE_SKETCH_SUMS]; /* of products, by pairs */
     float part[CELLWISE_SKETCH_SUMS]; /* those of this simulation */
-    float past[CELLWISE_SKETCH]; /* slow part of residual and derivatives */
+    float past[CELLWISE_SKETCH]; /* slow part of residual and derivatives, */
+    float past_share[CELLWISE_SKETCH]; /* and what is a share of the drop */
     float now[CELLWISE_SKETCH]; /* their news in the last row */
-    float slow_V2; /* variance of the slow part; below 0: no row yet */
+    float slow; /* variance of the slow part, of its own; below 0: no row yet */
+    float share; /* that of the share, */
+    float both; /* and their covariance */
     float soc; /* of the simulation */
     float start_soc;
     float v1_V;

@@ -73,6 +73,7 @@ class SketchSettings(NamedTuple):
 
     row_s: float = 15.0  # from row to row of the sums
     age_s: float = 1000.0 * 3600.0  # of use, after which a row counts for 1/e
+    slow_from_s: float = 30.0  # stated errors of longer scales are slow
     memory_s: float = 500.0  # of the model's slow error
     slow_s: float = 1500.0  # of a slow branch that the model may lack
     path_per_capacity: float = 60.0  # e-folds of a hysteresis that it may lack, over all of the SOC
@@ -164,6 +165,11 @@ def sketch_constants(model: CellModel, dt_s: float, noise: Noise) -> dict[str, A
     usual = SketchSettings()
     steps = max(1, round(usual.row_s / dt_s))
     row_s = steps * dt_s
+    of = model.error
+    slow = np.array(of.scales_s) >= usual.slow_from_s
+    stated = np.array([np.median(np.square(v)) for v in of.std_V])
+    shares = np.square(of.share)
+    whole = sum(stated[k] for k in of._slow) or 1.0
     return {
         "sketch_rows": steps,
         "sketch_steps": steps,
@@ -172,9 +178,13 @@ def sketch_constants(model: CellModel, dt_s: float, noise: Noise) -> dict[str, A
         "sketch_per_s": 1.0 / dt_s,
         "sketch_fade": row_s / usual.age_s,
         "sketch_keep": np.exp(-row_s / usual.memory_s),
-        "sketch_slow": np.exp(-row_s / usual.slow_s),
+        "sketch_branch": np.exp(-row_s / usual.slow_s),
         "sketch_path": usual.path_per_capacity * dt_s / (3600.0 * model.capacity_Ah),
-        "sketch_V2": max(noise.voltage_V, usual.fast_V) ** 2,
+        "sketch_V2": usual.fast_V**2,
+        "sketch_fast": stated[~slow].sum() / whole,
+        "sketch_slow": stated[slow].sum() / whole,
+        "sketch_fast_share": shares[~slow].sum(),
+        "sketch_slow_share": np.sqrt(shares[slow].sum()),
         "sketch_low": usual.low_soc,
         "sketch_soc2": usual.start_soc**2,
     }

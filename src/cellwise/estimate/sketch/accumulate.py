@@ -2,8 +2,8 @@
 
 The simulation starts where the filter knows the SOC and is never corrected; between the rows of the
 sums it needs no table. Residual and derivatives of its voltage are freed of what the model's slow
-error explains (one process of first order, by a scalar Kalman filter), and their products are
-summed: the normal equations of all causes. A small sketch has the first of the derivatives alone.
+error explains (a voltage and a share of the drop, both of first order, by a Kalman filter of these
+two), and their products are summed: the normal equations of all causes. A small sketch has the first of the derivatives alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Simulated(NamedTuple):
     drop_per_A: float
     change_V: float
     fast_V2: float
-    slow_V2: float
+    slow_V: float
+    share_V: float
 
 
 def clear_sketch(m: Model, k: Sketch, unit: int) -> None:
@@ -66,9 +67,11 @@ def anchor(c: Constants, x: State, k: Sketch) -> None:
     if SKETCH_LARGE:
         k.start_soc = x.soc
     k.blocks = U(0)
-    k.slow_V2 = -1.0
+    k.slow = -1.0
     for a in range(U(k.past.size)):
         k.past[a] = 0.0
+        if SKETCH_LARGE:
+            k.past_share[a] = 0.0
 
 
 @unrolled_by_option
@@ -97,15 +100,15 @@ def follow_path(c: Constants, h: float, current: float, per_A: float) -> float:
 
 
 @unrolled_by_option
-def simulate_row(m: Model, x: State, k: Sketch, current: float, mean_A: float) -> Simulated:
+def simulate_row(
+    m: Model, x: State, k: Sketch, current: float, jump_A: float, mean_A: float
+) -> Simulated:
     """The voltage now: slow states over the row's mean current, the fast one has followed."""
     c = m.constant
     k.soc = clip(k.soc - (c.sketch_steps * taken(c, x, mean_A)), -1.0, 2.0)
     place = place_now(m, x)
     p = look_up(m, place, k.soc, current)
-    change_V = (p.r0_ohm * (current - k.last_A)) + (
-        k.fast_gain * ((k.fast_ohm * current) - k.state[V1])
-    )
+    change_V = (p.r0_ohm * jump_A) + (k.fast_gain * ((k.fast_ohm * current) - k.state[V1]))
     drop_V = (p.r0_ohm * current) + k.state[V1]
     drop_per_A = p.r0_ohm + p.r1_ohm
     k.fast_ohm = p.r1_ohm
@@ -120,44 +123,73 @@ def simulate_row(m: Model, x: State, k: Sketch, current: float, mean_A: float) -
     if HYSTERESIS:
         k.h = follow_path(c, k.h, mean_A, c.hysteresis_per_A)
         voltage_V = voltage_V + (p.m_V * k.h)
-    fast_V2 = c.sketch_V2 + (c.share_variance * (drop_V * drop_V))
-    slow_V2 = p.noise_V2 - c.fixed_V2
-    return Simulated(voltage_V, p.slope_V, drop_V, drop_per_A, change_V, fast_V2, slow_V2)
+    stated_V2 = p.noise_V2 - c.fixed_V2
+    square_V2 = drop_V * drop_V
+    fast_V2 = c.sketch_V2 + ((c.sketch_fast * stated_V2) + (c.sketch_fast_share * square_V2))
+    slow_V = 0.0
+    share_V = 0.0
+    if SKETCH_LARGE:
+        slow_V = root(c.sketch_slow * stated_V2)
+        share_V = c.sketch_slow_share * drop_V
+    else:
+        slow_share = c.sketch_slow_share * c.sketch_slow_share
+        slow_V = root((c.sketch_slow * stated_V2) + (slow_share * square_V2))
+    return Simulated(voltage_V, p.slope_V, drop_V, drop_per_A, change_V, fast_V2, slow_V, share_V)
 
 
 def derive(c: Constants, k: Sketch, r: Simulated, current: float, mean_A: float) -> None:
     """Derivatives of the voltage by every cause, in the order of `cellwise.diagnose.sketched`."""
-    k.slow_A = mean_A + (c.sketch_slow * (k.slow_A - mean_A))
+    k.slow_A = mean_A + (c.sketch_branch * (k.slow_A - mean_A))
     k.path = follow_path(c, k.path, mean_A, c.sketch_path)
     offset_soc = (F(k.blocks) * c.sketch_steps) * c.soc_per_A
     k.now[1] = r.drop_per_A + (r.slope_V * offset_soc)
     k.now[2] = r.change_V * c.sketch_per_s
-    k.now[3] = -r.drop_V
-    k.now[4] = -k.slow_A
-    k.now[5] = k.path
-    k.now[6] = r.slope_V
+    k.now[3] = -k.slow_A
+    k.now[4] = k.path
+    k.now[5] = r.slope_V
+    k.now[6] = 1.0
     if SKETCH_LARGE:
-        k.now[7] = 1.0
+        k.now[7] = -r.drop_V
         k.now[8] = -current
         k.now[9] = r.slope_V * (k.start_soc - k.soc)
 
 
-def whiten(c: Constants, k: Sketch, fast_V2: float, slow_V2: float) -> float:
-    """What the rows before do not explain of this one; returns one over its variance."""
+def whiten(c: Constants, k: Sketch, r: Simulated) -> float:
+    """What the rows before do not explain of this one; returns one over its variance.
+
+    Two processes of unit variance, which a row has ``slow_V`` and ``share_V`` of; a small sketch
+    has one for both.
+    """
     keep = c.sketch_keep
     square = keep * keep
-    before = slow_V2
-    if k.slow_V2 >= 0.0:
-        before = (square * k.slow_V2) + ((1.0 - square) * slow_V2)
-    else:
+    if k.slow < 0.0:
         k.segments = k.segments + 1.0
-    inverse = 1.0 / (before + fast_V2)
-    gain = before * inverse
-    k.slow_V2 = before * (1.0 - gain)
+        k.slow = 1.0
+        if SKETCH_LARGE:
+            k.share = 1.0
+            k.both = 0.0
+    k.slow = (square * k.slow) + (1.0 - square)
+    slow = k.slow * r.slow_V
+    inverse = 1.0 / (r.fast_V2 + (r.slow_V * slow))
+    if SKETCH_LARGE:
+        k.share = (square * k.share) + (1.0 - square)
+        k.both = square * k.both
+        slow = slow + (k.both * r.share_V)
+        share = (k.both * r.slow_V) + (k.share * r.share_V)
+        inverse = 1.0 / (r.fast_V2 + ((r.slow_V * slow) + (r.share_V * share)))
+        share_gain = share * inverse
+        k.share = k.share - (share * share_gain)
+        k.both = k.both - (slow * share_gain)
+    slow_gain = slow * inverse
+    k.slow = k.slow - (slow * slow_gain)
     for a in range(U(k.past.size)):
         known = keep * k.past[a]
-        news = k.now[a] - known
-        k.past[a] = known + (gain * news)
+        news = k.now[a] - (r.slow_V * known)
+        if SKETCH_LARGE:
+            known_share = keep * k.past_share[a]
+            news = news - (r.share_V * known_share)
+            k.past_share[a] = known_share + (share_gain * news)
+        k.past[a] = known + (slow_gain * news)
         k.now[a] = news
     return inverse
 
@@ -182,17 +214,19 @@ def sum_up(k: Sketch, inverse: float) -> None:
 
 
 @noinline
-def end_row(m: Model, x: State, k: Sketch, current: float, voltage_V: float) -> None:
+def end_row(
+    m: Model, x: State, k: Sketch, current: float, jump_A: float, voltage_V: float
+) -> None:
     """Simulate the voltage that was read now, and sum where the model says what it should be."""
     c = m.constant
     k.blocks = U(k.blocks + 1)
     mean_A = k.sum_A * c.sketch_share
-    r = simulate_row(m, x, k, current, mean_A)
+    r = simulate_row(m, x, k, current, jump_A, mean_A)
     derive(c, k, r, current, mean_A)
     shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
     if shown and k.soc > c.sketch_low:
         k.now[0] = voltage_V - r.voltage_V
-        sum_up(k, whiten(c, k, r.fast_V2, r.slow_V2))
+        sum_up(k, whiten(c, k, r))
     k.count = U(0)
     k.sum_A = 0.0
     if k.blocks >= c.sketch_most and x.ss <= c.sketch_soc2:
@@ -212,13 +246,17 @@ def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
         if x.ss <= c.sketch_soc2:
             begin_segment(m, x, k)
     elif elapsed != U(0):
-        current = sample.current_A
-        if elapsed != U(1) or not size_within(current, c.current_limit_A):
+        read_A = sample.current_A
+        if elapsed != U(1) or not size_within(read_A, c.current_limit_A):
             k.count = NOT_SIMULATED
         else:
+            jump_A = read_A - k.last_A
+            k.last_A = read_A
+            current = read_A
+            if SKEW:
+                current = read_A - (c.skew_share * jump_A)
             k.sum_A = k.sum_A + current
             k.v1_V = k.v1_V + (k.fast_gain * ((k.fast_ohm * current) - k.v1_V))
             k.count = U(k.count + 1)
             if k.count >= c.sketch_rows:
-                end_row(m, x, k, current, sample.voltage_V)
-            k.last_A = current
+                end_row(m, x, k, current, jump_A, sample.voltage_V)
