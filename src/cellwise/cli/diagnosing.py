@@ -1,13 +1,13 @@
 """Model and logs to what is wrong, and by how much.
 
 cellwise diagnose: model and logs to what is wrong, and by how much
-    requires a model and a log; a second log of the same cell shows what the finding gains;
-        or, of a firmware exported with --sketch, an early sketch and later ones
+    requires a model and a log, or sketches; a second log shows what the finding gains
     $ diagnose --model cell.json odd.csv --holdout other.csv -o extended.json
     $ diagnose --model cell.json odd.csv --baseline healthy.csv --report found.html
 <scaled model>
     LOG*  what is to be explained
-    --sketch FILE+  instead of logs: what a target kept, the first while the cell was good; several
+    --sketch FILE+  instead of logs: what targets exported with --sketch kept; of one target the
+        first while its cell was good, one each of a fleet; several
     --holdout LOG+  log on which gains are measured [later parts of the logs]; several
     --baseline LOG+  log of the same cell and instruments that is known to be good; several
     --soc0 SOC=auto  of logs without LOG@soc0=X: 0..1, or auto
@@ -92,11 +92,13 @@ def run_sketches(arguments: argparse.Namespace) -> None:
         what = f"--sketch with {' and '.join(others)}" if arguments.sketch else "no log"
         raise InputError(what, "logs, or --sketch FILE alone", "Give one or the other.")
     model = options.read_model(arguments)
-    found, sketches = diagnose_sketch_files(model, arguments.sketch)
+    files = diagnose_sketch_files(model, arguments.sketch)
     if arguments.json:
-        printing.print_json({**found.to_dict(), "sketches": sketches})
+        printing.print_json(files.to_dict())
         return
-    printing.say(f"verdict: {found.verdict}\n")
+    found, units = files.shown, files.found.units
+    of = f"what all {len(units)} targets have" if files.found.common else "verdict"
+    printing.say(f"{of}: {found.verdict}\n")
     for reason in found.reasons:
         printing.say(f"  - {reason}")
     printing.record_table(
@@ -107,6 +109,9 @@ def run_sketches(arguments: argparse.Namespace) -> None:
         ("value, were it alone (95 %)", lambda c: "\n".join(_values(c, c.parameters.items()))),
         ("would be named from", lambda c: _least(found.limits[c.name])),
     )
+    own = [(str(u), one.verdict) for u, one in units.items() if one.verdict != "none"]
+    if len(units) > 1:
+        printing.table("what one target has", ("target", "verdict"), own)
 
 
 def _least(limit: Mapping[str, float] | None) -> str:

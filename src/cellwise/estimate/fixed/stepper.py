@@ -64,6 +64,7 @@ MADE_WITH = {
     "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
     "soh": ("capacity between rests", "FixedStep(..., soh=True)"),
+    "sketch": ("a sketch of the residual", "FixedStep(..., sketch=1024)"),
 }
 
 
