@@ -19,6 +19,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import WHITE_BELOW_S
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import (
@@ -169,7 +170,7 @@ def sketch_constants(model: CellModel, dt_s: float, noise: Noise) -> dict[str, A
     slow = np.array(of.scales_s) >= usual.slow_from_s
     stated = np.array([np.median(np.square(v)) for v in of.std_V])
     shares = np.square(of.share)
-    whole = sum(stated[k] for k in of._slow) or 1.0
+    whole = stated[np.array(of.scales_s) >= WHITE_BELOW_S].sum() or 1.0  # what the table holds
     return {
         "sketch_rows": steps,
         "sketch_steps": steps,

@@ -3,7 +3,8 @@
 The simulation starts where the filter knows the SOC and is never corrected; between the rows of the
 sums it needs no table. Residual and derivatives of its voltage are freed of what the model's slow
 error explains (a voltage and a share of the drop, both of first order, by a Kalman filter of these
-two), and their products are summed: the normal equations of all causes. A small sketch has the first of the derivatives alone.
+two), and their products are summed: the normal equations of all causes. A small sketch has the
+first of the derivatives alone.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def begin_segment(m: Model, x: State, k: Sketch) -> None:
 def follow_path(c: Constants, h: float, current: float, per_A: float) -> float:
     """A hysteresis after a row's mean current."""
     end = 1.0 if current < 0.0 else -1.0
-    return h + (risen((per_A * magnitude(current)) * c.sketch_steps) * (end - h))
+    return F(h + (risen((per_A * magnitude(current)) * c.sketch_steps) * (end - h)))
 
 
 @unrolled_by_option
@@ -191,7 +192,7 @@ def whiten(c: Constants, k: Sketch, r: Simulated) -> float:
             k.past_share[a] = known_share + (share_gain * news)
         k.past[a] = known + (slow_gain * news)
         k.now[a] = news
-    return inverse
+    return F(inverse)
 
 
 def sum_up(k: Sketch, inverse: float) -> None:
@@ -214,9 +215,7 @@ def sum_up(k: Sketch, inverse: float) -> None:
 
 
 @noinline
-def end_row(
-    m: Model, x: State, k: Sketch, current: float, jump_A: float, voltage_V: float
-) -> None:
+def end_row(m: Model, x: State, k: Sketch, current: float, jump_A: float, voltage_V: float) -> None:
     """Simulate the voltage that was read now, and sum where the model says what it should be."""
     c = m.constant
     k.blocks = U(k.blocks + 1)

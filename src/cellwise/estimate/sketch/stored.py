@@ -84,9 +84,13 @@ def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
     square[np.tril_indices(kept)] = total
     square = square + np.tril(square, -1).T
     share = 1.0 / (float(head["segments"]) * max(square[0, 0] / float(head["rows"]), 1.0))
-    found = (float(head[n]) for n in ("segments", "rows"))
-    marks = (int(head[n]) for n in ("generation", "unit", "model_crc"))
-    return SketchSums(share * square[1:, 1:], share * square[0, 1:], *found, *marks)
+    return SketchSums(
+        share * square[1:, 1:],
+        share * square[0, 1:],
+        float(head["segments"]),
+        float(head["rows"]),
+        *(int(head[n]) for n in ("generation", "unit", "model_crc")),
+    )
 
 
 def _refused(name: str, what: str) -> InputError:
