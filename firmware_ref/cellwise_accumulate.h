@@ -226,24 +226,22 @@ void cellwise_sketch_add(const cellwise_model *m, const cellwise_state *x, cellw
     const cellwise_constants *const c = &m->constant;
     const uint32_t elapsed = sample->sequence - k->sequence;
     k->sequence = sample->sequence;
-    if (k->count == NOT_SIMULATED) {
-        if (x->ss <= c->sketch_soc2) {
+    const float read_A = sample->current_A;
+    const bool usable = SIZE_WITHIN(read_A, c->current_limit_A);
+    if ((k->count == NOT_SIMULATED) || (elapsed > 1u) || !usable) {
+        k->count = NOT_SIMULATED;
+        if (usable && (x->ss <= c->sketch_soc2)) {
             begin_segment(m, x, k);
         }
-    } else if (elapsed != 0u) {
-        const float read_A = sample->current_A;
-        if ((elapsed != 1u) || !SIZE_WITHIN(read_A, c->current_limit_A)) {
-            k->count = NOT_SIMULATED;
-        } else {
-            const float jump_A = read_A - k->last_A;
-            k->last_A = read_A;
-            const float current = read_A - (c->skew_share * jump_A);
-            k->sum_A = k->sum_A + current;
-            k->v1_V = k->v1_V + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
-            k->count = k->count + 1u;
-            if (k->count >= c->sketch_rows) {
-                end_row(m, x, k, current, jump_A, sample->voltage_V);
-            }
+    } else if (elapsed == 1u) {
+        const float jump_A = read_A - k->last_A;
+        k->last_A = read_A;
+        const float current = read_A - (c->skew_share * jump_A);
+        k->sum_A = k->sum_A + current;
+        k->v1_V = k->v1_V + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
+        k->count = k->count + 1u;
+        if (k->count >= c->sketch_rows) {
+            end_row(m, x, k, current, jump_A, sample->voltage_V);
         }
     } else { /* as before */
     }

@@ -241,21 +241,20 @@ def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
     c = m.constant
     elapsed = U(sample.sequence - k.sequence)
     k.sequence = sample.sequence
-    if k.count == NOT_SIMULATED:
-        if x.ss <= c.sketch_soc2:
+    read_A = sample.current_A
+    usable = size_within(read_A, c.current_limit_A)
+    if k.count == NOT_SIMULATED or elapsed > U(1) or not usable:
+        k.count = NOT_SIMULATED
+        if usable and x.ss <= c.sketch_soc2:
             begin_segment(m, x, k)
-    elif elapsed != U(0):
-        read_A = sample.current_A
-        if elapsed != U(1) or not size_within(read_A, c.current_limit_A):
-            k.count = NOT_SIMULATED
-        else:
-            jump_A = read_A - k.last_A
-            k.last_A = read_A
-            current = read_A
-            if SKEW:
-                current = read_A - (c.skew_share * jump_A)
-            k.sum_A = k.sum_A + current
-            k.v1_V = k.v1_V + (k.fast_gain * ((k.fast_ohm * current) - k.v1_V))
-            k.count = U(k.count + 1)
-            if k.count >= c.sketch_rows:
-                end_row(m, x, k, current, jump_A, sample.voltage_V)
+    elif elapsed == U(1):
+        jump_A = read_A - k.last_A
+        k.last_A = read_A
+        current = read_A
+        if SKEW:
+            current = read_A - (c.skew_share * jump_A)
+        k.sum_A = k.sum_A + current
+        k.v1_V = k.v1_V + (k.fast_gain * ((k.fast_ohm * current) - k.v1_V))
+        k.count = U(k.count + 1)
+        if k.count >= c.sketch_rows:
+            end_row(m, x, k, current, jump_A, sample.voltage_V)
