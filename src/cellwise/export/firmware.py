@@ -164,7 +164,7 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     name = "port/host_rows.c"
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
-        headers = {n: "" for n in ("cellwise_ekf.h", "cellwise_soh.h", "cellwise_sketch.h")}
+        headers = dict.fromkeys(("cellwise_ekf.h", "cellwise_soh.h", "cellwise_sketch.h"), "")
         text = prefixed({name: text, **headers}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"
