@@ -20,8 +20,8 @@ typedef struct {
 void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k, uint32_t unit)
 {
     (void)m;
-    k->generation = 0u;
     k->unit = unit;
+    k->degrees = 0.0f;
     k->segments = 0.0f;
     k->rows = 0.0f;
     k->count = NOT_SIMULATED;
@@ -42,6 +42,7 @@ static void fade(const cellwise_constants *c, cellwise_sketch *k)
     const float keep = 1.0f - (c->sketch_fade * (float)k->blocks);
     k->segments = keep * k->segments;
     k->rows = keep * k->rows;
+    k->degrees = keep * k->degrees;
     for (uint32_t a = 0u; a < CELLWISE_SKETCH_SUMS; a++) {
         k->sum[a] = k->sum[a] + k->part[a];
         k->part[a] = 0.0f;
@@ -199,8 +200,8 @@ static void sum_up(cellwise_sketch *k, float inverse)
 }
 
 /* Simulate the voltage that was read now, and sum where the model says what it should be. */
-static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k, float current,
-                             float jump_A, float voltage_V)
+static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k,
+                             const cellwise_input *sample, float current, float jump_A)
 {
     const cellwise_constants *const c = &m->constant;
     k->blocks = k->blocks + 1u;
@@ -208,10 +209,12 @@ static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, c
     cellwise_simulated r;
     simulate_row(m, x, k, current, jump_A, mean_A, &r);
     derive(c, k, &r, current, mean_A);
-    const bool shown = POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V);
+    const bool shown = POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V);
     if (shown && (k->soc > c->sketch_low)) {
-        k->now[0u] = voltage_V - r.voltage_V;
+        k->now[0u] = sample->voltage_V - r.voltage_V;
         sum_up(k, whiten(c, k, &r));
+        const bool known = WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C);
+        k->degrees = k->degrees + (known ? sample->temperature_C : USUAL_DEGREES);
     }
     k->count = 0u;
     k->sum_A = 0.0f;
@@ -241,7 +244,7 @@ void cellwise_sketch_add(const cellwise_model *m, const cellwise_state *x, cellw
         k->v1_V = k->v1_V + (k->fast_gain * ((k->fast_ohm * current) - k->v1_V));
         k->count = k->count + 1u;
         if (k->count >= c->sketch_rows) {
-            end_row(m, x, k, current, jump_A, sample->voltage_V);
+            end_row(m, x, k, sample, current, jump_A);
         }
     } else { /* as before */
     }

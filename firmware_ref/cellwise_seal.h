@@ -11,7 +11,6 @@ void cellwise_seal_sketch(cellwise_sketch *sketch)
 {
     sketch->magic = SKETCH_MAGIC;
     sketch->model_crc = CELLWISE_MODEL_CRC;
-    sketch->generation = sketch->generation + 1u;
     sketch->crc = ~more_words(CRC_BEGIN, (const uint8_t *)sketch, (uint32_t)(sizeof *sketch) - WORD);
 }
 

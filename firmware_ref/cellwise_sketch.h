@@ -13,8 +13,8 @@ extern "C" {
 typedef struct {
     uint32_t magic; /* set with the CRC by `cellwise_seal_sketch` */
     uint32_t model_crc; /* of the tables */
-    uint32_t generation; /* counts what was sealed */
     uint32_t unit; /* number of the target */
+    float degrees; /* sum of temperatures, over rows */
     float segments; /* simulations that were summed, */
     float rows; /* and their rows, faded as the sums are */
     float sum[CELLWISE_SKETCH_SUMS]; /* of products, by pairs */

@@ -145,6 +145,15 @@ def test_without_a_past_nothing_is_named_and_it_says_why(bench):
     assert "earlier sketch of the same target" in found.reasons[0]
 
 
+def test_sketches_at_other_temperatures_do_not_compare(bench):
+    """Where the model errs otherwise a cell that is the same would get a cause."""
+    past = read_sums(bench.kept(1024, PAST))
+    cold = past._replace(temperature_C=past.temperature_C - 35.0)
+    found = diagnose_sketch(bench.model, past, [cold])
+    assert (found.verdict, found.causes) == ("undetermined", ())
+    assert "within 10 K" in found.reasons[0]
+
+
 def test_sketches_of_other_tables_and_models_without_pictures_are_refused(bench):
     past = read_sums(bench.kept(1024, PAST))
     with pytest.raises(InputError, match="other tables"):

@@ -1,8 +1,8 @@
 """How causes look in sketches: each hidden in the model's own logs, kept with the model.
 
 The block ``sketch`` of a model's provenance: ``version`` of the sums, ``mark`` of the model it was
-made of, and by the number of parameters ``clean`` (of the own logs as they are) and ``causes``
-(what each adds at its usual size).
+made of, and by the number of parameters ``clean`` (of the own logs as they are), ``causes`` (what
+each adds at its usual size) and their mean ``temperature_C``.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ BLOCK = "sketch"
 
 
 class Pictures(NamedTuple):
-    """Parameters of the own logs as they are, and by cause what it adds to them."""
+    """Parameters of the own logs as they are, by cause what it adds, their mean temperature."""
 
     clean: FloatArray
     causes: Mapping[str, FloatArray]
+    temperature_C: float
 
 
 def usual(model: CellModel) -> dict[str, float]:
@@ -116,21 +117,26 @@ def make_pictures(model: CellModel, logs: Iterable[CellLog]) -> CellModel:
     for most in (SMALL_BYTES, WHOLE_BYTES):
         sketcher = Sketcher(FixedStep(model, dt_s=PERIOD_S, sketch=most))
         of = partial(_parameters, model, sketcher)
-        clean = of(own)
+        kept = _kept(sketcher, own)
+        clean = parameters_of(model, kept)
         causes = {
             cause: of([hidden(log, cause, size, model) for log in own]) - clean
             for cause, size in usual(model).items()
         }
         block[str(clean.size)] = {
             "clean": _rounded(clean),
+            "temperature_C": round(float(np.mean([s.temperature_C for s in kept])), 2),
             "causes": {cause: _rounded(look) for cause, look in causes.items()},
         }
     return replace(model, provenance={**model.provenance, BLOCK: block})
 
 
 def _parameters(model: CellModel, sketcher: Sketcher, logs: Sequence[CellLog]) -> FloatArray:
-    kept = [read_sums(sketcher.bytes_of(sketcher.run(log))) for log in logs]
-    return parameters_of(model, kept)
+    return parameters_of(model, _kept(sketcher, logs))
+
+
+def _kept(sketcher: Sketcher, logs: Sequence[CellLog]) -> list[SketchSums]:
+    return [read_sums(sketcher.bytes_of(sketcher.run(log))) for log in logs]
 
 
 def _rounded(values: FloatArray) -> list[float]:
@@ -154,7 +160,9 @@ def pictures_in(model: CellModel) -> dict[int, Pictures]:
         )
     return {
         int(size): Pictures(
-            np.array(one["clean"]), {n: np.array(look) for n, look in one["causes"].items()}
+            np.array(one["clean"]),
+            {n: np.array(look) for n, look in one["causes"].items()},
+            float(one["temperature_C"]),
         )
         for size, one in block.items()
         if size.isdigit()

@@ -30,6 +30,12 @@ NO_PAST = (
 )
 
 
+APART = (
+    "sketches at {:.0f} and {:.0f} degC: a model errs otherwise at another temperature; those within "
+    "{:g} K of one another compare"
+)
+
+
 class SketchPrior(NamedTuple):
     """What is assumed before a sketch is read; chosen in decision 0015."""
 
@@ -39,6 +45,7 @@ class SketchPrior(NamedTuple):
     misfit: float = 0.2  # of a cause: how far it looks from its picture
     sizes: tuple[float, float] = (0.7, 1.5)  # of a cause, in its usual size
     name_at: float = 0.9  # probability
+    apart_K: float = 10.0  # mean temperatures of sketches that compare
     fleet: int = 5  # targets, of which the middle one stands for all
     healthy: float = 0.75  # share of a fleet, by which the others are judged
 
@@ -117,8 +124,8 @@ def diagnose_sketch(
         return SketchDiagnosis("undetermined", reasons=(NO_PAST,))
     check_alike([past, *later], len(later) > 0)
     pictures = known[past.with_residual.size]
-    off = parameters_of(model, later) - parameters_of(model, [past])
-    return _judged(model, off, pictures, spread(off.size, without_lineage))
+    clean = spread(past.with_residual.size, without_lineage)
+    return _compared(model, past, later, pictures, clean)
 
 
 def diagnose_fleet(
@@ -145,16 +152,19 @@ def diagnose_fleet(
     at = {unit: parameters_of(model, of[-1:]) for unit, of in units.items()}
     common, scatter = None, clean
     middle = np.median(list(at.values()), axis=0)
+    warm_C = float(np.median([of[-1].temperature_C for of in units.values()]))
     if len(units) >= PRIOR.fleet:
-        common = _judged(model, middle - pictures.clean, pictures, clean)
+        off = middle - pictures.clean
+        common = _near(warm_C, pictures.temperature_C) or _judged(model, off, pictures, clean)
         scatter = 0.5 * (clean + _scatter(np.array(list(at.values())) - middle, clean))
     found = {}
     for unit, of in units.items():
         if len(of) > 1:
-            off = parameters_of(model, of[1:]) - parameters_of(model, of[:1])
-            found[unit] = _judged(model, off, pictures, clean)
+            found[unit] = _compared(model, of[0], of[1:], pictures, clean)
         elif common is not None:
-            found[unit] = _judged(model, at[unit] - middle, pictures, scatter)
+            found[unit] = _near(of[0].temperature_C, warm_C) or _judged(
+                model, at[unit] - middle, pictures, scatter
+            )
         else:
             found[unit] = SketchDiagnosis("undetermined", reasons=(NO_PAST,))
     return FleetDiagnosis(common, found)
@@ -218,6 +228,26 @@ def _scatter(off: FloatArray, clean: FloatArray) -> FloatArray:
 def _ln(off: FloatArray, covariance: FloatArray) -> float:
     log_det = float(np.linalg.slogdet(covariance)[1])
     return -0.5 * (float(off @ np.linalg.solve(covariance, off)) + log_det)
+
+
+def _near(one_C: float, other_C: float) -> SketchDiagnosis | None:
+    """What is said where two temperatures do not compare."""
+    if abs(one_C - other_C) <= PRIOR.apart_K:
+        return None
+    return SketchDiagnosis("undetermined", reasons=(APART.format(one_C, other_C, PRIOR.apart_K),))
+
+
+def _compared(
+    model: CellModel,
+    past: SketchSums,
+    later: Sequence[SketchSums],
+    pictures: Pictures,
+    clean: FloatArray,
+) -> SketchDiagnosis:
+    warm_C = float(np.mean([s.temperature_C for s in later]))
+    apart = _near(past.temperature_C, warm_C)
+    off = parameters_of(model, later) - parameters_of(model, [past])
+    return apart or _judged(model, off, pictures, clean)
 
 
 def _judged(

@@ -105,6 +105,7 @@ NORMAL_1, NORMAL_2 = F(0.0498673470), F(0.0211410061)
 NORMAL_3, NORMAL_4 = F(0.0032776263), F(0.0000380036)
 NORMAL_5, NORMAL_6 = F(0.0000488906), F(0.0000053830)
 LEAST_SPAN_V = F(1e-9)  # between the ends of a bracket: it is divided by
+USUAL_DEGREES = F(25.0)  # of a sketch without a temperature
 NOT_SIMULATED = U(0xFFFFFFFF)  # a sketch that waits for a SOC that is known
 THREE_CELLS = U(3)  # that may limit a pack's power
 CELL_MOST = F(0.9)  # of a cell's capacity or resistance may be missing,

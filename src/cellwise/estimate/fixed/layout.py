@@ -233,8 +233,8 @@ def _sketch() -> tuple[Field, ...]:
     return (
         Field("magic", "set with the CRC by `cellwise_seal_sketch`", "", "u4"),
         Field("model_crc", "of the tables", "", "u4"),
-        Field("generation", "counts what was sealed", "", "u4"),
         Field("unit", "number of the target", "", "u4"),
+        Field("degrees", "sum of temperatures, over rows"),
         Field("segments", "simulations that were summed,"),
         Field("rows", "and their rows, faded as the sums are"),
         Field("sum", "of products, by pairs", "", "f4", "sketch_sums"),

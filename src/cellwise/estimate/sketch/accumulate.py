@@ -34,8 +34,8 @@ class Simulated(NamedTuple):
 
 def clear_sketch(m: Model, k: Sketch, unit: int) -> None:
     """An empty sketch of the target with that number."""
-    k.generation = U(0)
     k.unit = unit
+    k.degrees = 0.0
     k.segments = 0.0
     k.rows = 0.0
     k.count = NOT_SIMULATED
@@ -54,6 +54,7 @@ def fade(c: Constants, k: Sketch) -> None:
     keep = 1.0 - (c.sketch_fade * F(k.blocks))
     k.segments = keep * k.segments
     k.rows = keep * k.rows
+    k.degrees = keep * k.degrees
     for a in range(U(k.sum.size)):
         if SKETCH_LARGE:
             k.sum[a] = k.sum[a] + k.part[a]
@@ -215,17 +216,19 @@ def sum_up(k: Sketch, inverse: float) -> None:
 
 
 @noinline
-def end_row(m: Model, x: State, k: Sketch, current: float, jump_A: float, voltage_V: float) -> None:
+def end_row(m: Model, x: State, k: Sketch, sample: Sample, current: float, jump_A: float) -> None:
     """Simulate the voltage that was read now, and sum where the model says what it should be."""
     c = m.constant
     k.blocks = U(k.blocks + 1)
     mean_A = k.sum_A * c.sketch_share
     r = simulate_row(m, x, k, current, jump_A, mean_A)
     derive(c, k, r, current, mean_A)
-    shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
+    shown = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
     if shown and k.soc > c.sketch_low:
-        k.now[0] = voltage_V - r.voltage_V
+        k.now[0] = sample.voltage_V - r.voltage_V
         sum_up(k, whiten(c, k, r))
+        known = within(sample.temperature_C, COLDEST_C, HOTTEST_C)
+        k.degrees = k.degrees + (sample.temperature_C if known else USUAL_DEGREES)
     k.count = U(0)
     k.sum_A = 0.0
     if k.blocks >= c.sketch_most and x.ss <= c.sketch_soc2:
@@ -257,4 +260,4 @@ def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
         k.v1_V = k.v1_V + (k.fast_gain * ((k.fast_ohm * current) - k.v1_V))
         k.count = U(k.count + 1)
         if k.count >= c.sketch_rows:
-            end_row(m, x, k, current, jump_A, sample.voltage_V)
+            end_row(m, x, k, sample, current, jump_A)

@@ -19,8 +19,8 @@ MAGIC = 0x534B3230  # `SK20`: its last letters are the version
 SIZES = {MAGIC + kept: kept for kept in (SMALL_SKETCH, WHOLE_SKETCH)}  # residual and derivatives
 # From the first byte on, in every sketch of this version; the sums follow, last is the CRC.
 HEADER = np.dtype(
-    [(n, "<u4") for n in ("magic", "model_crc", "generation", "unit")]
-    + [(n, "<f4") for n in ("segments", "rows")]
+    [(n, "<u4") for n in ("magic", "model_crc", "unit")]
+    + [(n, "<f4") for n in ("degrees", "segments", "rows")]
 )
 
 
@@ -29,20 +29,20 @@ class SketchSums(NamedTuple):
 
     ``products`` (n, n) of the derivatives, ``with_residual`` (n,), both a simulation's mean and
     over the mean square of the residual where that is above one; ``segments`` simulations of
-    ``rows`` rows, faded; ``unit`` the target's number.
+    ``rows`` rows, faded, at a mean ``temperature_C``; ``unit`` the target's number.
     """
 
     products: FloatArray
     with_residual: FloatArray
     segments: float
     rows: float
-    generation: int
+    temperature_C: float
     unit: int
     model_crc: int
 
     def head(self) -> dict[str, Any]:
         """What it is of, as JSON values."""
-        return {n: getattr(self, n) for n in ("unit", "generation", "segments", "rows")}
+        return {n: getattr(self, n) for n in ("unit", "temperature_C", "segments", "rows")}
 
 
 def empty_sketch(stepper: Stepper, unit: int = 0) -> NDArray[Any]:
@@ -56,7 +56,6 @@ def sealed(sketch: NDArray[Any], tables: FixedStepTables) -> bytes:
     """What a target keeps: the record with its header and its CRC, as `cellwise_seal_sketch`."""
     sketch["magic"] = MAGIC + tables.options.sketch
     sketch["model_crc"] = zlib.crc32(tables.to_bytes())
-    sketch["generation"] += 1
     sketch["crc"] = zlib.crc32(sketch.tobytes()[:-4])
     return sketch.tobytes()
 
@@ -89,7 +88,8 @@ def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
         share * square[0, 1:],
         float(head["segments"]),
         float(head["rows"]),
-        *(int(head[n]) for n in ("generation", "unit", "model_crc")),
+        float(head["degrees"]) / float(head["rows"]),
+        *(int(head[n]) for n in ("unit", "model_crc")),
     )
 
 
