@@ -134,8 +134,7 @@ static void derive(const cellwise_constants *c, cellwise_sketch *k, const cellwi
 {
     k->slow_A = mean_A + (c->sketch_branch * (k->slow_A - mean_A));
     k->path = follow_path(c, k->path, mean_A, c->sketch_path);
-    const float offset_soc = ((float)k->blocks * c->sketch_steps) * c->soc_per_A;
-    k->now[1u] = r->drop_per_A + (r->slope_V * offset_soc);
+    k->now[1u] = r->drop_per_A + (r->slope_V * (((float)k->blocks * c->sketch_steps) * c->soc_per_A));
     k->now[2u] = r->change_V * c->sketch_per_s;
     k->now[3u] = -k->slow_A;
     k->now[4u] = k->path;
@@ -146,8 +145,7 @@ static void derive(const cellwise_constants *c, cellwise_sketch *k, const cellwi
     k->now[9u] = r->slope_V * (k->start_soc - k->soc);
 }
 
-/* What the rows before do not explain of this one; returns one over its variance. Two processes of unit variance,
- * which a row has `slow_V` and `share_V` of; a small sketch has one for both. */
+/* What the rows before do not explain of this one; returns one over its variance. */
 static float whiten(const cellwise_constants *c, cellwise_sketch *k, const cellwise_simulated *r)
 {
     const float keep = c->sketch_keep;
@@ -183,8 +181,7 @@ static float whiten(const cellwise_constants *c, cellwise_sketch *k, const cellw
     return inverse;
 }
 
-/* Products of all pairs, weighed, into sums. Where there is room a simulation has sums of its own: 240,000 rows of
- * 1,000 h would lose up to 0.7 % in one float each. */
+/* Products of all pairs, weighed; a simulation has sums of its own where there is room. */
 static void sum_up(cellwise_sketch *k, float inverse)
 {
     uint32_t at = 0u;
@@ -213,8 +210,8 @@ static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, c
     if (shown && (k->soc > c->sketch_low)) {
         k->now[0u] = sample->voltage_V - r.voltage_V;
         sum_up(k, whiten(c, k, &r));
-        const bool known = WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C);
-        k->degrees = k->degrees + (known ? sample->temperature_C : USUAL_DEGREES);
+        const bool warm = WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C);
+        k->degrees = k->degrees + (warm ? sample->temperature_C : USUAL_DEGREES);
     }
     k->count = 0u;
     k->sum_A = 0.0f;

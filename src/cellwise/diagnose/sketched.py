@@ -31,8 +31,8 @@ NO_PAST = (
 
 
 APART = (
-    "sketches at {:.0f} and {:.0f} degC: a model errs otherwise at another temperature; those within "
-    "{:g} K of one another compare"
+    "sketches at {:.0f} and {:.0f} degC: a model errs otherwise at another temperature; those "
+    "within {:g} K of one another compare"
 )
 
 

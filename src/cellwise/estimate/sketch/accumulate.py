@@ -4,7 +4,9 @@ The simulation starts where the filter knows the SOC and is never corrected; bet
 sums it needs no table. Residual and derivatives of its voltage are freed of what the model's slow
 error explains (a voltage and a share of the drop, both of first order, by a Kalman filter of these
 two), and their products are summed: the normal equations of all causes. A small sketch has the
-first of the derivatives alone.
+first of the derivatives alone. One float a sum loses up to 0.7 % in the 240,000 rows of 1,000 h,
+two less than 0.01 %. The slow error is two processes of unit variance, of which a row has
+``slow_V`` and ``share_V``; a small sketch has one for both.
 """
 
 from __future__ import annotations
@@ -143,8 +145,7 @@ def derive(c: Constants, k: Sketch, r: Simulated, current: float, mean_A: float)
     """Derivatives of the voltage by every cause, in the order of `cellwise.diagnose.sketched`."""
     k.slow_A = mean_A + (c.sketch_branch * (k.slow_A - mean_A))
     k.path = follow_path(c, k.path, mean_A, c.sketch_path)
-    offset_soc = (F(k.blocks) * c.sketch_steps) * c.soc_per_A
-    k.now[1] = r.drop_per_A + (r.slope_V * offset_soc)
+    k.now[1] = r.drop_per_A + (r.slope_V * ((F(k.blocks) * c.sketch_steps) * c.soc_per_A))
     k.now[2] = r.change_V * c.sketch_per_s
     k.now[3] = -k.slow_A
     k.now[4] = k.path
@@ -157,11 +158,7 @@ def derive(c: Constants, k: Sketch, r: Simulated, current: float, mean_A: float)
 
 
 def whiten(c: Constants, k: Sketch, r: Simulated) -> float:
-    """What the rows before do not explain of this one; returns one over its variance.
-
-    Two processes of unit variance, which a row has ``slow_V`` and ``share_V`` of; a small sketch
-    has one for both.
-    """
+    """What the rows before do not explain of this one; returns one over its variance."""
     keep = c.sketch_keep
     square = keep * keep
     if k.slow < 0.0:
@@ -197,11 +194,7 @@ def whiten(c: Constants, k: Sketch, r: Simulated) -> float:
 
 
 def sum_up(k: Sketch, inverse: float) -> None:
-    """Products of all pairs, weighed, into sums.
-
-    Where there is room a simulation has sums of its own: 240,000 rows of 1,000 h would lose up to
-    0.7 % in one float each.
-    """
+    """Products of all pairs, weighed; a simulation has sums of its own where there is room."""
     at = U(0)
     for a in range(U(k.past.size)):
         weighed = inverse * k.now[a]
@@ -227,8 +220,8 @@ def end_row(m: Model, x: State, k: Sketch, sample: Sample, current: float, jump_
     if shown and k.soc > c.sketch_low:
         k.now[0] = sample.voltage_V - r.voltage_V
         sum_up(k, whiten(c, k, r))
-        known = within(sample.temperature_C, COLDEST_C, HOTTEST_C)
-        k.degrees = k.degrees + (sample.temperature_C if known else USUAL_DEGREES)
+        warm = within(sample.temperature_C, COLDEST_C, HOTTEST_C)
+        k.degrees = k.degrees + (sample.temperature_C if warm else USUAL_DEGREES)
     k.count = U(0)
     k.sum_A = 0.0
     if k.blocks >= c.sketch_most and x.ss <= c.sketch_soc2:
