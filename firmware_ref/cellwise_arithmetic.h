@@ -92,6 +92,8 @@
 #define NORMAL_5 0x1.9a1fc4p-15f /* 4.88906e-05 */
 #define NORMAL_6 0x1.693f3cp-18f /* 5.383e-06 */
 #define LEAST_SPAN_V 0x1.12e0bep-30f /* 1e-09: between the ends of a bracket: it is divided by */
+#define USUAL_DEGREES 25.0f /* of a sketch without a temperature */
+#define NOT_SIMULATED 0xFFFFFFFFu /* a sketch that waits for a SOC that is known */
 #define THREE_CELLS 3u /* that may limit a pack's power */
 #define CELL_MOST 0x1.ccccccp-1f /* 0.9: of a cell's capacity or resistance may be missing, */
 #define SCALE_MOST 19.0f /* and as many times its resistance be added */

@@ -3,6 +3,7 @@
  * do not edit. */
 #include "cellwise_ekf.h"
 #include "cellwise_soh.h"
+#include "cellwise_sketch.h"
 #include "cellwise_float.h"
 #include "cellwise_arithmetic.h"
 #include "cellwise_scalar.h"
@@ -33,3 +34,4 @@
 #include "cellwise_record.h"
 #include "cellwise_capacity.h"
 #include "cellwise_rests.h"
+#include "cellwise_accumulate.h"

@@ -89,6 +89,22 @@ typedef struct {
     float rate_A; /* 1C */
     float rest_steps; /* of a current that stands still, until it shows an offset */
     float contradicted_share; /* dt / 600 s */
+    uint32_t sketch_rows; /* steps from row to row of the sketch */
+    float sketch_steps; /* the same */
+    float sketch_share; /* one over that */
+    uint32_t sketch_most; /* rows of a simulation */
+    float sketch_per_s; /* one over a time step */
+    float sketch_fade; /* of the sums, in a row */
+    float sketch_keep; /* of the model's slow error, from row to row */
+    float sketch_branch; /* and of a current that a slow branch has followed */
+    float sketch_path; /* e-folds of a hysteresis in one step at 1 A */
+    float sketch_V2; /* of a row's voltage, by what is not slow */
+    float sketch_fast; /* of the stated error's square, what is not slow, */
+    float sketch_slow; /* and what is */
+    float sketch_fast_share; /* of a drop's square, what is off and not slow */
+    float sketch_slow_share; /* share of a drop that is off, and slow */
+    float sketch_low; /* SOC below which nothing is summed */
+    float sketch_soc2; /* variance of SOC with which a simulation may begin */
     float heat_K_per_W;
     float heat_gain; /* 1 - exp(-dt / thermal time constant) */
     float heat_rate; /* dt / thermal time constant */

@@ -3,6 +3,9 @@
 #if CELLWISE_HEALTH
 #include "cellwise_patch.h"
 #endif
+#if CELLWISE_SKETCH
+#include "cellwise_seal.h"
+#endif
 
 #define MAGIC 0x43573032u /* "CW02" */
 #define LAYOUT 2u

@@ -5,6 +5,9 @@
 #define CELLWISE_STORE_H
 
 #include "cellwise_ekf.h"
+#if CELLWISE_SKETCH
+#include "cellwise_sketch.h"
+#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -74,6 +77,11 @@ uint32_t cellwise_restore(const cellwise_model *m, cellwise_state *x, const cell
  * Without one they begin here, as at a start, where the SOC's variance asks for them. */
 uint32_t cellwise_bank_restore(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                                const cellwise_stored *from, uint32_t age_s);
+#endif
+
+#if CELLWISE_SKETCH
+/* Before a sketch is read out: its header and its CRC. Then begin a new one: cellwise_sketch_init. */
+void cellwise_seal_sketch(cellwise_sketch *sketch);
 #endif
 
 #if CELLWISE_CELLS

@@ -13,7 +13,7 @@ from benchmarks.parts import each_case
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.layout import BANK
+from cellwise.estimate.fixed.layout import BANK, sketch_type
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
@@ -29,6 +29,7 @@ STEPS = 5000
 # them many steps long, that of more within 0.1 %.
 EVERY = 50
 CALL_EVERY = 250
+SKETCH_EVERY = 16  # beside rows every 15 steps: every step between two rows in turn
 BANK_STEPS = 300
 BANK_EVERY = 3
 START_STD = 0.01
@@ -82,7 +83,34 @@ def calls_figures(data: Path | None, say: Progress) -> list[Figure]:
         for core in cores_here()
         for name, model in models.items()
     )
-    return each_case(calls, say)
+    sketches = (
+        (f"{core}: {name}, a sketch", partial(_sketch_cost, core, name, model))
+        for core in cores_here()
+        for name, model in models.items()
+    )
+    return each_case((*calls, *sketches), say)
+
+
+def _sketch_cost(core: str, name: str, model: CellModel) -> list[Figure]:
+    """What `cellwise_sketch_add` adds to a step, in both sizes."""
+    records = samples_of(model, load_log(STEPS), DT_S).records
+    measured = partial(run_on_target, core_name=core, samples=records, soc=START_SOC,
+                       soc_variance=START_STD**2, measure_every=SKETCH_EVERY)  # fmt: skip
+    step = measured(fixed_step_tables(model, DT_S, points=POINTS)).cost
+    figures = []
+    for most in (256, 1024):
+        tables = fixed_step_tables(model, DT_S, points=POINTS, sketch=most)
+        cost = measured(tables, of="sketch").cost
+        group = f"{core}: {name}, --sketch {most}"
+        share = cost.instructions_mean / step.instructions_mean
+        figures += [
+            Figure(group, "mean of a drive", cost.instructions_mean, "instructions"),
+            Figure(group, "share of a step", 100.0 * share, "%", target=15.0),
+            Figure(group, "most on it", cost.instructions_most, "instructions"),
+            Figure(group, "stack", cost.stack_bytes, "B"),
+            Figure(group, "bytes kept", float(sketch_type(tables.options).itemsize), "B"),
+        ]
+    return figures
 
 
 def _step_cost(core: str, name: str, model: CellModel, tables: FixedStepTables) -> list[Figure]:

@@ -1,6 +1,7 @@
 /* Many steps in one call: for the host library and the page only. */
 #include "../cellwise_ekf.h"
 #include "../cellwise_soh.h"
+#include "../cellwise_sketch.h"
 #include "../cellwise_store.h"
 
 void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
@@ -24,6 +25,10 @@ uint32_t cellwise_patched_bank_rows(const cellwise_model *model, const cellwise_
                                     const cellwise_input *in, cellwise_output *out,
                                     uint32_t samples);
 #endif
+#endif
+#if CELLWISE_SKETCH
+void cellwise_sketch_rows(const cellwise_model *model, cellwise_state *x, cellwise_sketch *sketch,
+                          const cellwise_input *in, cellwise_output *out, uint32_t samples);
 #endif
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
                         uint32_t count, cellwise_input *in, const float *voltage_V,
@@ -115,6 +120,17 @@ void cellwise_cells_of(const cellwise_model *model, const cellwise_state *x,
 {
     for (uint32_t k = 0u; k < count; k++) {
         cellwise_cell_of(model, x, &cells[k], &out[k]);
+    }
+}
+#endif
+
+#if CELLWISE_SKETCH
+void cellwise_sketch_rows(const cellwise_model *model, cellwise_state *x, cellwise_sketch *sketch,
+                          const cellwise_input *in, cellwise_output *out, uint32_t samples)
+{
+    for (uint32_t k = 0u; k < samples; k++) {
+        (void)cellwise_step(model, x, &in[k], &out[k]);
+        cellwise_sketch_add(model, x, sketch, &in[k]);
     }
 }
 #endif

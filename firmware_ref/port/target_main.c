@@ -4,12 +4,13 @@
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
  * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
  * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, MEASURE_SOH
- * cellwise_soh_step, with
+ * cellwise_soh_step, MEASURE_SKETCH cellwise_sketch_add, with
  * MEASURE_BANK a step of a bank of COMPONENTS. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
 
 #include "cellwise_cell.h"
+#include "cellwise_sketch.h"
 #include "cellwise_soh.h"
 #include "semihosting.h"
 #include "ticks.h"
@@ -67,6 +68,14 @@ static cellwise_soh trial_soh;
 static __attribute__((noinline)) void begin_trial(void)
 {
     trial_soh = soh;
+}
+#elif defined(MEASURE_SKETCH)
+static cellwise_sketch sketch;
+static cellwise_sketch trial_sketch;
+
+static __attribute__((noinline)) void begin_trial(void)
+{
+    trial_sketch = sketch;
 }
 #else
 static void begin_trial(void)
@@ -185,6 +194,24 @@ static uint32_t whole_step(const cellwise_model *m, cellwise_state *x, const cel
     cellwise_soh_step(m, x, &soh, in);
     return status;
 }
+#elif defined(MEASURE_SKETCH)
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)out;
+    begin_trial();
+    cellwise_sketch_add(m, x, &trial_sketch, in);
+    return 0u;
+}
+
+static uint32_t whole_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *in,
+                           cellwise_output *out)
+{
+    const uint32_t status = cellwise_step(m, x, in, out);
+    cellwise_sketch_add(m, x, &sketch, in);
+    return status;
+}
 #else
 #define measured_step cellwise_step
 #define whole_step cellwise_step
@@ -254,6 +281,8 @@ int main(void)
 #endif
 #if defined(MEASURE_SOH)
     cellwise_soh_init(&cellwise_cell, &soh);
+#elif defined(MEASURE_SKETCH)
+    cellwise_sketch_init(&cellwise_cell, &sketch, 1u);
 #endif
 #if defined(MEASURE_CELLS)
     cellwise_cells_init(&cellwise_cell, cells, MEASURE_CELLS);

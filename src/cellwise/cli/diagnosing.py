@@ -1,11 +1,13 @@
 """Model and logs to what is wrong, and by how much.
 
 cellwise diagnose: model and logs to what is wrong, and by how much
-    requires a model and a log; a second log of the same cell shows what the finding gains
+    requires a model and a log, or sketches; a second log shows what the finding gains
     $ diagnose --model cell.json odd.csv --holdout other.csv -o extended.json
     $ diagnose --model cell.json odd.csv --baseline healthy.csv --report found.html
 <scaled model>
-    LOG+  what is to be explained
+    LOG*  what is to be explained
+    --sketch FILE+  instead of logs: what targets exported with --sketch kept; of one target the
+        first while its cell was good, one each of a fleet; several
     --holdout LOG+  log on which gains are measured [later parts of the logs]; several
     --baseline LOG+  log of the same cell and instruments that is known to be good; several
     --soc0 SOC=auto  of logs without LOG@soc0=X: 0..1, or auto
@@ -25,7 +27,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +35,14 @@ from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.diagnose.sketched import SketchCause
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
 from cellwise.notices import critical_first
 from cellwise.report.page.markup import MOST
+from cellwise.workflows.sketches import diagnose_sketch_files
 
 if TYPE_CHECKING:
     from cellwise.benchmark.certify.exported import Exported
@@ -46,6 +50,9 @@ if TYPE_CHECKING:
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
+    if arguments.sketch or not arguments.logs:
+        run_sketches(arguments)
+        return
     _check_places(arguments)
     soc0 = options.soc0_of(arguments)
     model = options.read_model(arguments)
@@ -84,6 +91,40 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             printing.say(f"{name.replace('_', ' ')}: {path}")
     if arguments.output and written["extended_model"] is None:
         printing.say(f"no cause changes the model: '{arguments.output}' is as '{arguments.model}'")
+
+
+def run_sketches(arguments: argparse.Namespace) -> None:
+    """Diagnose what a target kept, and print it."""
+    said = vars(arguments)
+    others = [n for n in ("logs", "holdout", "baseline", "output", "report", "cause") if said[n]]
+    if others or not arguments.sketch:
+        what = f"--sketch with {' and '.join(others)}" if arguments.sketch else "no log"
+        raise InputError(what, "logs, or --sketch FILE alone", "Give one or the other.")
+    model = options.read_model(arguments)
+    files = diagnose_sketch_files(model, arguments.sketch)
+    if arguments.json:
+        printing.print_json(files.to_dict())
+        return
+    found, units = files.shown, files.found.units
+    of = f"what all {len(units)} targets have" if files.found.common else "verdict"
+    printing.say(f"{of}: {found.verdict}\n")
+    for reason in found.reasons:
+        printing.say(f"  - {reason}")
+    printing.record_table(
+        "what was tried",
+        found.candidates,
+        ("cause", lambda c: c.name),
+        ("probability", lambda c: f"{c.probability:.3f}"),
+        ("value, were it alone (95 %)", lambda c: "\n".join(_values(c, c.parameters.items()))),
+        ("would be named from", lambda c: _least(found.limits[c.name])),
+    )
+    own = [(str(u), one.verdict) for u, one in units.items() if one.verdict != "none"]
+    if len(units) > 1:
+        printing.table("what one target has", ("target", "verdict"), own)
+
+
+def _least(limit: Mapping[str, float] | None) -> str:
+    return "at no size" if limit is None else ", ".join(f"{k} {v:.3g}" for k, v in limit.items())
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
@@ -248,7 +289,7 @@ def print_figures(found: Diagnosis) -> None:
         printing.record_table("what was tried", tried, *page.TRIED_COLUMNS)
 
 
-def _values(cause: FoundCause, parameters: Iterable[tuple[str, float]]) -> list[str]:
+def _values(cause: FoundCause | SketchCause, parameters: Iterable[tuple[str, float]]) -> list[str]:
     """Parameters with their intervals, a line each."""
     lines = []
     for name, value in parameters:

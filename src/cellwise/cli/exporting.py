@@ -20,6 +20,7 @@ cellwise export: model to C sources and other programs' formats
     --points N  SOC points [as few of 51, 101, 201 as the model's stated error allows]
     --lean  smaller code, slower from a start far off, no watch for frozen or lost sensors
     --offset  ask rests and voltages whether the current is off all the time, as `replay` does
+    --sketch N  keep sums of the residual for `diagnose --sketch`, in N bytes at most, say 1024
     --without EFFECT...  leave out an effect of the model, e.g. the laboratory's time_skew; several
     --sensor F.toml  what the target's sensors are off by, as TOML [a car's]
     --noise NAME=X...  of the filter, e.g. gap_soc=0.2; several [the model's, with the sensors']
@@ -132,6 +133,7 @@ def export_of(model: CellModel, arguments: argparse.Namespace) -> Export:
             cells=CellSettings() if arguments.cells else None,
             offset=arguments.offset,
             soh=arguments.soh,
+            sketch=arguments.sketch or 0,
         ),
         noise=noise_of(arguments.noise),
         sensor=options.sensor_of(arguments),

@@ -16,6 +16,7 @@ cellwise identify: laboratory tests to a model
     --no-refine  keep the tables of the single pulses
     --branches 2|3=3  RC branches
     --hysteresis auto|on|off=auto  of the OCV
+    --sketch  keep how causes look in sketches of the drives, for `cellwise diagnose --sketch`
     --temperature-c X  of tests that measured none
     --name NAME  name of the cell, written into the model
     --chemistry NAME  written into the model
@@ -50,11 +51,12 @@ from cellwise.identify.ocv.voltage_only import (
 )
 from cellwise.logs.stated import check_temperature
 from cellwise.report.identification.page import OWN_COLUMNS, identify_page
+from cellwise.workflows.sketches import with_pictures
 
 # What voltages alone have no use for.
 OF_TESTS = (
     *("hppc", "ocv", "capacity", "drive", "nominal_ah", "capacity_choice", "prior"),
-    *("without_lineage", "temperature_c", "name", "chemistry", "report", "figures"),
+    *("without_lineage", "sketch", "temperature_c", "name", "chemistry", "report", "figures"),
 )
 
 
@@ -84,6 +86,9 @@ def run_identify(arguments: argparse.Namespace) -> None:
     )
     with printing.working("identify") as follow:
         found = identify_cell(tests, settings, follow)
+        if arguments.sketch:
+            follow("how causes look in sketches")
+            found = with_pictures(found)
         with page_options.page_places(arguments) as pages:
             if pages is not None:
                 follow("page")

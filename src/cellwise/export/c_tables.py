@@ -25,6 +25,7 @@ BY_HAND = (
     "cellwise_store.c",
     "cellwise_crc.h",
     "cellwise_patch.h",
+    "cellwise_seal.h",
     "cellwise_clock.h",
     "cellwise_cell.h",
 )

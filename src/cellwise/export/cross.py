@@ -23,7 +23,7 @@ from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, put, write_sources
 
-Measured = Literal["step", "bank", "power", "remaining", "plan", "soh"]
+Measured = Literal["step", "bank", "power", "remaining", "plan", "soh", "sketch"]
 COMPONENTS = 7  # of the bank that is measured, as in target_main.c
 REPEATS = 48  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often
@@ -165,6 +165,7 @@ def run_on_target(
     of : str                       measure the ``step``, that of a ``bank`` of COMPONENTS, the state
                                    of ``power``, the ``remaining`` time, a ``plan`` of four
                                    phases, what follows a step for the ``soh``
+                                   or the ``sketch``
     cells : int                    measure a sample of a pack of so many cells; 0: of one
 
     Raises

@@ -55,6 +55,9 @@ uint32_t cellwise_bank_restore(const void *model, void *bank, void *of, uint32_t
                                const void *from, uint32_t age_s);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
+void cellwise_sketch_init(const void *model, void *sketch, uint32_t unit);
+void cellwise_sketch_rows(const void *model, void *x, void *sketch, const void *in, void *out,
+                          uint32_t samples);
 extern const char cellwise_cell[];
 """
 
@@ -166,7 +169,7 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     name = "port/host_rows.c"
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
-        headers = {f"cellwise_{part}.h": "" for part in ("ekf", "soh", "store")}
+        headers = {f"cellwise_{part}.h": "" for part in ("ekf", "soh", "sketch", "store")}
         text = prefixed({name: text, **headers}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"

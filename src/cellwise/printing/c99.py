@@ -28,7 +28,7 @@ RECORDS = {
     kind: ("const " if kind in READ else "") + layout.c_name(ELEMENTS.get(kind, kind))
     for kind in ("Model", *layout.RECORDS, "States", "Cells", "Phases")
 } | {"Floats": "const float"}
-KEPT = ("State", "Cell", "Soh")  # from step to step: const where nothing is changed
+KEPT = ("State", "Cell", "Soh", "Sketch")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {
     "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",
@@ -121,7 +121,9 @@ class Function:
         found: set[str] = set()
         for node in ast.walk(self.node):
             if isinstance(node, ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store):
-                of = node.value.value if isinstance(node.value, ast.Subscript) else node.value
+                of = node.value
+                if isinstance(of, ast.Subscript | ast.Attribute):  # of an array: whose it is
+                    of = of.value
                 kind = self.parameters.get(ast.unparse(of), "")
                 found.add(ELEMENTS.get(kind, kind))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):

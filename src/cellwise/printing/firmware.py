@@ -20,7 +20,7 @@ import numpy as np
 from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
-from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.fixed.options import WHOLE_SKETCH, Options, flags_of
 from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
@@ -44,6 +44,8 @@ PUBLIC = {
     "start_soh": "cellwise_soh_init",
     "step_soh": "cellwise_soh_step",
     "soh_of": "cellwise_soh_of",
+    "clear_sketch": "cellwise_sketch_init",
+    "add_to_sketch": "cellwise_sketch_add",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -67,11 +69,13 @@ ASKED = {
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
     **dict.fromkeys(("start_soh", "step_soh", "soh_of"), ("SOH",)),
+    **dict.fromkeys(("clear_sketch", "add_to_sketch"), ("SKETCH",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
     "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
+    "sketch": WHOLE_SKETCH, "sketch_sums": WHOLE_SKETCH * (WHOLE_SKETCH + 1) // 2,
 })  # fmt: skip
 
 
@@ -108,6 +112,7 @@ PARTS = {
     "record": "What is known of capacity and resistance, and whether that is sound.",
     "capacity": "What a pair of rests far apart says of the capacity.",
     "rests": "The charge between rests, how long a cell has rested, the first load after.",
+    "accumulate": "What a sketch adds up after a step.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -124,6 +129,7 @@ HEADERS = {
     "cellwise_bank_record.h": "What is kept of a start that is not known, beside its states.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
     "cellwise_soh.h": "Capacity that is left, between rests far apart, and resistance, after one.",
+    "cellwise_sketch.h": "A sketch of the residual: sums for a diagnosis from nothing else.",
 }
 WHOLE = (
     "The filter, its parts compiled as one. In objects of their own a step of three states takes "
@@ -199,7 +205,9 @@ def program(read: list[StepModule], options: Options) -> Program:
         structs=structs,
         constants=constants(),
         columns={f.name.upper(): f.name for f in layout.ROW},
-        sizes={f.name: size_of(f) for f in layout.CONSTANTS if f.size},
+        sizes={
+            f.name: size_of(f) for f in (*layout.CONSTANTS, *layout.RECORDS["Sketch"]) if f.size
+        },
         temperatures=options.temperatures > 1,
         public=PUBLIC,
         requirements=REQUIREMENTS,
@@ -295,7 +303,8 @@ def print_files(options: Options) -> dict[str, str]:
         ]  # fmt: skip
         found[f"cellwise_{name}.h"] = "\n".join(text)
         before = name
-    includes = [f'#include "cellwise_{name}.h"' for name in ("ekf", "soh", "float", *parts)]
+    names = ("ekf", "soh", "sketch", "float", *parts)
+    includes = [f'#include "cellwise_{name}.h"' for name in names]
     found["cellwise_ekf.c"] = "\n".join([*headed(WHOLE), *includes, ""])
     return found
 
@@ -337,7 +346,8 @@ def print_headers(made: Program, options: Options) -> dict[str, str]:
     blocks = {"status": status_bits(), "row": record("cellwise_row", layout.ROW, options)}
     for kind, table in layout.RECORDS.items():
         name = layout.c_name(kind)
-        blocks[name.removeprefix("cellwise_")] = record(name, table, options)
+        there = kind != "Sketch" or options.sketch
+        blocks[name.removeprefix("cellwise_")] = record(name, table, options) if there else []
     for name, public in PUBLIC.items():
         blocks[public] = []
         if name in made.functions:

@@ -7,7 +7,8 @@ module's import: help must not wait for compilers. A command that it names is th
     cellwise NAME: what it does
         requires what it cannot do without
         $ NAME an example, as it is typed
-        LOG                         an argument; LOG+ several, [LOG=x] one that may be left out
+        LOG                         an argument; LOG+ several, LOG* or none, [LOG=x] one that may
+                                    be left out
         -o, --output OUT!           an option that is required
         --estimator E=ekf           one with a default
         --hold power|current=power  one with choices
@@ -162,6 +163,8 @@ def _add_valued(place: argparse._ActionsContainer, names: list[str], value: str,
     elif value.endswith("+"):
         value, more = value[:-1], {"nargs": "+"}
         more |= {"action": "extend", "default": []} if names else {}
+    elif value.endswith("*") and "=" not in value:
+        value, more = value[:-1], {"nargs": "*", "default": []}
     else:
         optional = value.startswith("[")
         required, value = value.endswith("!"), value.strip("[]!")
@@ -179,7 +182,7 @@ def _add_valued(place: argparse._ActionsContainer, names: list[str], value: str,
         more["choices"] = [kind(one) for one in value.split("|")]
     else:
         more["metavar"] = value
-    dest = [] if names else [value.lower() + ("s" if more.get("nargs") == "+" else "")]
+    dest = [] if names else [value.lower() + ("s" if more.get("nargs") in ("+", "*") else "")]
     place.add_argument(*names, *dest, type=kind, help=text.strip(), **more)
 
 

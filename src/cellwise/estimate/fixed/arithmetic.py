@@ -40,6 +40,7 @@ Bank: TypeAlias = Any
 CellOutput: TypeAlias = Any
 Soh: TypeAlias = Any
 SohOutput: TypeAlias = Any
+Sketch: TypeAlias = Any
 States: TypeAlias = Any  # arrays: of states, cells, floats, phases, samples, outputs
 Cells: TypeAlias = Any
 Floats: TypeAlias = Any
@@ -65,6 +66,7 @@ HEALTH = CELLS = 0  # what a history says, the cells of a pack
 BANK = 0  # components for a start that nobody knows
 OFFSET = 0  # the hypothesis of a current that is off
 SOH = 0  # the capacity that is left, between rests
+SKETCH = SKETCH_LARGE = 0  # sums of a residual that stay on the target, all of its causes
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
@@ -103,6 +105,8 @@ NORMAL_1, NORMAL_2 = F(0.0498673470), F(0.0211410061)
 NORMAL_3, NORMAL_4 = F(0.0032776263), F(0.0000380036)
 NORMAL_5, NORMAL_6 = F(0.0000488906), F(0.0000053830)
 LEAST_SPAN_V = F(1e-9)  # between the ends of a bracket: it is divided by
+USUAL_DEGREES = F(25.0)  # of a sketch without a temperature
+NOT_SIMULATED = U(0xFFFFFFFF)  # a sketch that waits for a SOC that is known
 THREE_CELLS = U(3)  # that may limit a pack's power
 CELL_MOST = F(0.9)  # of a cell's capacity or resistance may be missing,
 SCALE_MOST = F(19.0)  # and as many times its resistance be added

@@ -19,6 +19,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import WHITE_BELOW_S
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import (
@@ -65,6 +66,22 @@ class TargetLimits(NamedTuple):
 
 
 TARGET = TargetLimits()
+
+
+class SketchSettings(NamedTuple):
+    """How a residual is summed: decision 0015 has what was measured with these."""
+
+    row_s: float = 15.0  # from row to row of the sums
+    age_s: float = 1000.0 * 3600.0  # of use, after which a row counts for 1/e
+    slow_from_s: float = 30.0  # stated errors of longer scales are slow
+    memory_s: float = 500.0  # of the model's slow error
+    slow_s: float = 1500.0  # of a slow branch that the model may lack
+    path_per_capacity: float = 60.0  # e-folds of a hysteresis that it may lack, over all of the SOC
+    fast_V: float = 0.002  # what is not slow in a row
+    low_soc: float = 0.2  # below it models of tests at constant current are off by far more
+    start_soc: float = 0.02  # deviation of SOC at which a simulation begins
+    longest_s: float = 8.0 * 3600.0  # then it begins again: what drifts is not the cause alone
+
 
 ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 
@@ -141,6 +158,36 @@ def _validity(model: CellModel, noise: Noise) -> dict[str, Any]:
         "share_per_A": scale * valid.share_per_A,
         "share_per_K": scale * valid.share_per_K,
         "voltage_per_K": scale * valid.voltage_per_K,
+    }
+
+
+def sketch_constants(model: CellModel, dt_s: float, noise: Noise) -> dict[str, Any]:
+    """Of a sketch of the residual, by rows of about fifteen seconds."""
+    usual = SketchSettings()
+    steps = max(1, round(usual.row_s / dt_s))
+    row_s = steps * dt_s
+    of = model.error
+    slow = np.array(of.scales_s) >= usual.slow_from_s
+    stated = np.array([np.median(np.square(v)) for v in of.std_V])
+    shares = np.square(of.share)
+    whole = stated[np.array(of.scales_s) >= WHITE_BELOW_S].sum() or 1.0  # what the table holds
+    return {
+        "sketch_rows": steps,
+        "sketch_steps": steps,
+        "sketch_share": 1.0 / steps,
+        "sketch_most": max(1, round(usual.longest_s / row_s)),
+        "sketch_per_s": 1.0 / dt_s,
+        "sketch_fade": row_s / usual.age_s,
+        "sketch_keep": np.exp(-row_s / usual.memory_s),
+        "sketch_branch": np.exp(-row_s / usual.slow_s),
+        "sketch_path": usual.path_per_capacity * dt_s / (3600.0 * model.capacity_Ah),
+        "sketch_V2": usual.fast_V**2,
+        "sketch_fast": stated[~slow].sum() / whole,
+        "sketch_slow": stated[slow].sum() / whole,
+        "sketch_fast_share": shares[~slow].sum(),
+        "sketch_slow_share": np.sqrt(shares[slow].sum()),
+        "sketch_low": usual.low_soc,
+        "sketch_soc2": usual.start_soc**2,
     }
 
 

@@ -108,6 +108,22 @@ CONSTANTS = (
     Field("rate_A", "1C", "OFFSET"),
     Field("rest_steps", "of a current that stands still, until it shows an offset", "OFFSET"),
     Field("contradicted_share", "dt / 600 s", "WIDE"),
+    Field("sketch_rows", "steps from row to row of the sketch", "SKETCH", "u4"),
+    Field("sketch_steps", "the same", "SKETCH"),
+    Field("sketch_share", "one over that", "SKETCH"),
+    Field("sketch_most", "rows of a simulation", "SKETCH", "u4"),
+    Field("sketch_per_s", "one over a time step", "SKETCH"),
+    Field("sketch_fade", "of the sums, in a row", "SKETCH"),
+    Field("sketch_keep", "of the model's slow error, from row to row", "SKETCH"),
+    Field("sketch_branch", "and of a current that a slow branch has followed", "SKETCH"),
+    Field("sketch_path", "e-folds of a hysteresis in one step at 1 A", "SKETCH"),
+    Field("sketch_V2", "of a row's voltage, by what is not slow", "SKETCH"),
+    Field("sketch_fast", "of the stated error's square, what is not slow,", "SKETCH"),
+    Field("sketch_slow", "and what is", "SKETCH"),
+    Field("sketch_fast_share", "of a drop's square, what is off and not slow", "SKETCH"),
+    Field("sketch_slow_share", "share of a drop that is off, and slow", "SKETCH"),
+    Field("sketch_low", "SOC below which nothing is summed", "SKETCH"),
+    Field("sketch_soc2", "variance of SOC with which a simulation may begin", "SKETCH"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
     Field("heat_rate", "dt / thermal time constant", "HEATING"),
@@ -212,6 +228,40 @@ def _state() -> tuple[Field, ...]:
         Field("sequence", "of the last sample", "", "u4"),
         Field("rejections", "steps rejected in a row", "", "u4"),
         Field("evidence", "0: no sample yet, 1: no voltage yet, then 2 + steps since", "", "u4"),
+    )
+
+
+def _sketch() -> tuple[Field, ...]:
+    """Header, sums, then what is carried from block to block."""
+    return (
+        Field("magic", "set with the CRC by `cellwise_seal_sketch`", "", "u4"),
+        Field("model_crc", "of the tables", "", "u4"),
+        Field("unit", "number of the target", "", "u4"),
+        Field("degrees", "sum of temperatures, over rows"),
+        Field("segments", "simulations that were summed,"),
+        Field("rows", "and their rows, faded as the sums are"),
+        Field("sum", "of products, by pairs", "", "f4", "sketch_sums"),
+        Field("part", "those of this simulation", "SKETCH_LARGE", "f4", "sketch_sums"),
+        Field("past", "slow part of residual and derivatives,", "", "f4", "sketch"),
+        Field("past_share", "and what is a share of the drop", "SKETCH_LARGE", "f4", "sketch"),
+        Field("now", "their news in the last row", "", "f4", "sketch"),
+        Field("slow", "variance of the slow part, of its own; below 0: no row yet"),
+        Field("share", "that of the share,", "SKETCH_LARGE"),
+        Field("both", "and their covariance", "SKETCH_LARGE"),
+        Field("soc", "of the simulation"),
+        Field("start_soc", "", "SKETCH_LARGE"),
+        *(Field(CALLED["state"](s), "", s.option.upper()) for s in BRANCHES),
+        Field("fast_ohm", "of the first branch, since the last row,"),
+        Field("fast_gain", "and what it follows in a step"),
+        Field("h", "", "HYSTERESIS"),
+        Field("slow_A", "current that a slow branch has followed"),
+        Field("path", "hysteresis that the model may lack"),
+        Field("sum_A", "since the last row"),
+        Field("last_A", "current of the last sample"),
+        Field("count", "samples since the last row; all bits set: no simulation", "", "u4"),
+        Field("blocks", "rows since the simulation began", "", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+        Field("crc", "of all before it", "", "u4"),
     )
 
 
@@ -367,6 +417,7 @@ RECORDS = {
         Field("resistance", "scale of the tables' resistances,"),
         Field("resistance_variance", "and its variance"),
     ),
+    "Sketch": _sketch(),
 }
 IN_C = {"Sample": "input", "Cell": "pack_cell"}  # where its name in C is another
 
@@ -397,7 +448,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 
 
 BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH, SOH_OUTPUT = (
-    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
+    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:-1]
 )
 
 
@@ -414,6 +465,11 @@ def state_type(options: Options) -> np.dtype[Any]:
 def constant_type(options: Options) -> np.dtype[Any]:
     """Record type of the constants."""
     return _record_type(CONSTANTS, options)
+
+
+def sketch_type(options: Options) -> np.dtype[Any]:
+    """Record type of a sketch."""
+    return _record_type(RECORDS["Sketch"], options)
 
 
 def row_type(options: Options) -> np.dtype[Any]:

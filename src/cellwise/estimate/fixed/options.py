@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 MOST_CELLS = 1000
+# Residual and derivatives of a sketch: a small one, and one of every cause.
+SMALL_SKETCH, WHOLE_SKETCH = 7, 10
 ARRHENIUS_POINTS = 161  # of each table over temperature
 # An option, and the effect that needs it.
 OPTION_OF = {
@@ -92,7 +94,8 @@ class Options:
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
     components for a start that nobody knows, ``offset`` the hypothesis of a current that is off,
-    ``soh`` the capacity that rests show.
+    ``soh`` the capacity that rests show,
+    ``sketch`` the residual and its derivatives in a sketch, ``sketch_sums`` their pairs.
     """
 
     points: int
@@ -118,6 +121,8 @@ class Options:
     bank: int = 0
     offset: int = 0
     soh: int = 0
+    sketch: int = 0
+    sketch_sums: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -154,6 +159,7 @@ class Asked:
     offset : bool             ask rests and voltages whether the current is off all the time, as the
                               float64 filters do
     soh : bool                estimate the capacity that is left between two rests far apart
+    sketch : int              bytes that sums of the residual for a diagnosis may take; 0: none
     """
 
     points: int | None = None
@@ -165,6 +171,7 @@ class Asked:
     components: int = COMPONENTS
     offset: bool = False
     soh: bool = False
+    sketch: int = 0
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -181,6 +188,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
             "Leave `lean` or `offset` out.",
         )
     needed = {option: int(not is_neutral(model.effect(e))) for option, e in OPTION_OF.items()}
+    kept = WHOLE_SKETCH if asked.sketch else 0
     arrhenius = ARRHENIUS_POINTS if model.effect(TemperatureDependence).activation_K != 0.0 else 0
     activated = needed["surface"] and model.effect(SurfaceSoc).activation_K != 0.0
     depth = ARRHENIUS_POINTS if activated else 0
@@ -203,6 +211,8 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         bank=int(asked.wide and asked.components > 1),
         offset=int(asked.offset),
         soh=int(asked.soh),
+        sketch=kept,
+        sketch_sums=kept * (kept + 1) // 2,
     )
 
 
@@ -222,6 +232,8 @@ def flags_of(options: Options) -> dict[str, int]:
         "TEMPERATURES": int(options.temperatures > 1),
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
+        "SKETCH": int(options.sketch > 0),
+        "SKETCH_LARGE": int(options.sketch == WHOLE_SKETCH),
         "WARM": int(options.needs_temperature),
         "VALIDITY": int(options.validity > 0),
         "THERMAL": int(options.validity > 1),

@@ -50,6 +50,8 @@ from cellwise.estimate.fixed.step import step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power import fixed_power, fixed_remaining
+from cellwise.estimate.sketch import accumulate
+from cellwise.estimate.sketch.accumulate import add_to_sketch
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
@@ -62,6 +64,7 @@ MADE_WITH = {
     "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
     "soh": ("capacity between rests", "FixedStep(..., soh=True)"),
+    "sketch": ("a sketch of the residual", "FixedStep(..., sketch=1024)"),
 }
 
 
@@ -93,6 +96,7 @@ STEP_MODULES = (
     fixed_cells,
     fixed_capacity,
     fixed_rests,
+    accumulate,
 )
 
 
@@ -144,6 +148,15 @@ def pack_rows(
         step_cells(m, x, samples[k], cells, cell_V[k], count)
 
 
+def sketch_rows(
+    m: Model, x: State, k: Sketch, samples: Samples, outputs: Outputs, steps: int
+) -> None:
+    """Step every sample, and sketch it."""
+    for row in range(steps):
+        step(m, x, samples[row], outputs[row])
+        add_to_sketch(m, x, k, samples[row])
+
+
 def cells_of(m: Model, x: State, cells: Cells, count: int, outputs: Outputs) -> None:
     """What is known of every cell."""
     for k in range(count):
@@ -168,7 +181,9 @@ def entry(constants: Any, table: Any, *handed: Any) -> Any:
 ARRAYS = ("States", "Cells", "Floats", "Phases", "Samples", "Outputs")
 FUNCTIONS = {
     f.__name__: f for module in STEP_MODULES for f in functions_of(module)
-} | {f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of, soh_rows)}  # fmt: skip
+} | {
+    f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of, soh_rows, sketch_rows)
+}  # fmt: skip
 
 
 @lru_cache
@@ -180,6 +195,7 @@ def specialised(options: Options) -> dict[str, Any]:
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
+    absent |= set() if options.sketch else {accumulate}
     absent |= set() if options.bank else {whole_bank, bank}
     absent |= set() if options.soh else {fixed_capacity, fixed_rests}
     gone = {module.__name__ for module in absent}
@@ -329,6 +345,16 @@ class Stepper:
         if samples.size:
             samples = np.ascontiguousarray(samples, dtype=INPUT)
             self.call("soh_rows", state, record, samples, outputs, samples.size)
+        return outputs
+
+    def sketch_rows(
+        self, state: NDArray[Any], sketch: NDArray[Any], samples: NDArray[Any]
+    ) -> NDArray[Any]:
+        """Step every sample and sketch it: records of OUTPUT, shape (samples,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            samples = np.ascontiguousarray(samples, dtype=INPUT)
+            self.call("sketch_rows", state, sketch, samples, outputs, samples.size)
         return outputs
 
     def pack_rows(

@@ -19,10 +19,17 @@ from cellwise.estimate.fixed.constants import (
     cell_constants,
     power_constants,
     remaining_constants,
+    sketch_constants,
     step_constants,
 )
-from cellwise.estimate.fixed.layout import constant_type, row_names
-from cellwise.estimate.fixed.options import Asked, Options, options_of
+from cellwise.estimate.fixed.layout import constant_type, row_names, sketch_type
+from cellwise.estimate.fixed.options import (
+    SMALL_SKETCH,
+    WHOLE_SKETCH,
+    Asked,
+    Options,
+    options_of,
+)
 from cellwise.estimate.noise import Noise
 from cellwise.typing import FloatArray
 from cellwise.wording import arg
@@ -201,6 +208,9 @@ def fixed_step_tables(
         more = power_constants(model, wish.power, dt_s)
     if wish.remaining_V is not None:
         more |= remaining_constants(model, wish.remaining_V, dt_s)
+    if wish.sketch:
+        options = with_room(options, wish.sketch)
+        more |= sketch_constants(model, dt_s, noise)
     if wish.cells is not None:
         more |= cell_constants(wish.cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
@@ -234,6 +244,22 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
             f"at most {1 / TARGET.smallest_gain:g} steps: float32 cannot hold slower ones",
             f"Give a time step of at least {TARGET.smallest_gain * slowest:.2g} s.",
         )
+
+
+def with_room(options: Options, most: int) -> Options:
+    """The options with the sketch that so many bytes hold.
+
+    Raises
+    ------
+    InputError        fewer bytes than the smallest one takes
+    """
+    for kept in (WHOLE_SKETCH, SMALL_SKETCH):
+        found = replace(options, sketch=kept, sketch_sums=kept * (kept + 1) // 2)
+        needed = sketch_type(found).itemsize
+        if needed <= most:
+            return found
+    wanted = f"{needed} or more for this model"
+    raise InputError(f"{most} bytes for a sketch", wanted, "Give " + arg("sketch", 256) + ".")
 
 
 def shortest_step_s(model: CellModel, options: Options) -> float:
