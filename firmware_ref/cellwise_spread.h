@@ -112,8 +112,13 @@ static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state
 /* Whether a block is: at the first sample, the first voltage, a gap, or after its time. */
 static bool is_over(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x)
 {
-    const bool begins = (b->looks == NEVER_LOOKED) || (has_voltage(x) && (b->known == 0u));
-    const bool over = begins || (b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps);
+    bool over = false;
+    if ((b->looks == NEVER_LOOKED) || (has_voltage(x) && (b->known == 0u))) {
+        over = true;
+    }
+    if ((b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps)) {
+        over = true;
+    }
     return over;
 }
 

@@ -613,9 +613,12 @@ def take_turns(m: Model, b: Bank, of: States, count: int) -> None:
 @part
 def is_over(m: Model, b: Bank, x: State) -> bool:
     """Whether a block is: at the first sample, the first voltage, a gap, or after its time."""
-    begins = b.looks == NEVER_LOOKED or (has_voltage(x) and b.known == U(0))
-    over = begins or b.unknown_A2 > 0.0 or b.steps >= m.constant.block_steps
-    return over  # type: ignore[no-any-return]
+    over = False
+    if b.looks == NEVER_LOOKED or (has_voltage(x) and b.known == U(0)):
+        over = True
+    if b.unknown_A2 > 0.0 or b.steps >= m.constant.block_steps:
+        over = True
+    return over
 
 
 @part
