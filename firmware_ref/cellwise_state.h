@@ -200,11 +200,8 @@ static float cross_gap(const cellwise_constants *c, cellwise_state *x, const cel
         spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
     }
     float unseen = 0.0f;
-    bool asks = (missing > c->gap_steps) && (x->evidence >= FIRST_VOLTAGE);
-    if (x->in_bank == COMPONENT) {
-        asks = false;
-    }
-    if (!asks) {
+    const bool asks = (missing > c->gap_steps) && (x->evidence >= FIRST_VOLTAGE);
+    if (!asks || (x->in_bank == COMPONENT)) {
         x->ss = x->ss + spread;
     } else {
         unseen = spread;

@@ -254,9 +254,7 @@ def cross_gap(
         spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
     unseen = 0.0
     asks = WIDE and missing > c.gap_steps and x.evidence >= FIRST_VOLTAGE
-    if BANK and x.in_bank == COMPONENT:
-        asks = False
-    if not asks:
+    if not asks or (BANK and x.in_bank == COMPONENT):
         x.ss = x.ss + spread
     else:
         unseen = spread
