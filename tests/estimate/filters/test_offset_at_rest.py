@@ -33,8 +33,6 @@ LOG = pulses()
 TRUE_A = np.asarray(LOG.current_A)
 
 
-
-
 @pytest.mark.parametrize("kind", [Ekf, Ukf])
 def test_a_sensor_that_reads_zero_at_rest_is_right_whatever_the_voltages_say(kind):
     """A voltage that is 20 mV off reads as many points of SOC on a plateau."""
