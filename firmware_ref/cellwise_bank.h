@@ -77,7 +77,7 @@ static bool is_past_block_sound(cellwise_bank *b)
     if (!NOT_NEGATIVE(b->below, SINCE_MOST) || !NOT_NEGATIVE(b->share, 1.0f)) {
         good = false;
     }
-    if (!SIZE_WITHIN(b->sum_V, LARGE) || !NOT_NEGATIVE(b->square_V2, LARGE)) {
+    if (!SIZE_WITHIN(b->mean_off_V, LARGE) || !NOT_NEGATIVE(b->square_V2, LARGE)) {
         good = false;
     }
     if (!NOT_NEGATIVE(b->own_V2, LARGE)) {

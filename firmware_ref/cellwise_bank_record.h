@@ -50,7 +50,7 @@ typedef struct {
     float below; /* over this; */
     float share; /* how much of it is new */
     float lately; /* its weight in the running mismatch */
-    float sum_V; /* off what components have expected, their mean, */
+    float mean_off_V; /* off what components have expected, their mean, */
     float square_V2; /* mean square, */
     float own_V2; /* and variance */
     uint32_t sequence; /* of the last sample */

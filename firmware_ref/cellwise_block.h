@@ -6,7 +6,7 @@
 #include "cellwise_past.h"
 
 /* A sample into its block; `before_A` is the current of the one before. */
-static void collect_sample(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, float off_V,
+static void collect_sample(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x, cellwise_output *out,
                            float elapsed, bool lost, float before_A)
 {
     const float unmeasured_A2 = unmeasured(m, x);
@@ -14,9 +14,9 @@ static void collect_sample(const cellwise_model *m, cellwise_bank *b, const cell
     b->steps = b->steps + elapsed;
     b->samples = b->samples + 1.0f;
     b->block_A = b->block_A + ((current_A - b->block_A) / b->samples);
-    if (uses_voltage(x)) {
+    if (uses_voltage(x, out)) {
         b->readings = b->readings + 1.0f;
-        b->off_V = b->off_V + ((off_V - b->off_V) / b->readings);
+        b->off_V = b->off_V + ((out->innovation_V - b->off_V) / b->readings);
     }
     b->unknown_A2 = at_least(b->unknown_A2, unmeasured_A2);
     if (lost) {
@@ -87,11 +87,17 @@ static void note_voltage(const cellwise_model *m, cellwise_bank *b, const cellwi
 /* A state over a block, its SOC apart: what the estimate has done, by its own tables. */
 static void carry_on(cellwise_state *x, cellwise_bank *b, const cellwise_point *p, const cellwise_slopes *slopes)
 {
-    relax(x, p, b->gain1, b->gain2, b->gain3, b->current1, b->current2, b->current3, b->square_A2);
+    const float gain1 = b->gain1;
+    const float current1 = b->current1;
+    const float gain2 = b->gain2;
+    const float current2 = b->current2;
+    const float gain3 = b->gain3;
+    const float current3 = b->current3;
+    relax(x, p, gain1, gain2, gain3, current1, current2, current3, b->square_A2);
     x->h = clip((b->keep_h * x->h) + b->rise_h, -1.0f, 1.0f);
     fade_hysteresis(x, b->keep_h);
     if (slopes->spread > 0.0f) {
-        tilt(x, slopes, b->gain1 * b->current1, b->gain2 * b->current2, b->gain3 * b->current3);
+        tilt(x, slopes, gain1 * current1, gain2 * current2, gain3 * current3);
     }
     if (POSITIVE_ABOVE(1.0f, x->ss)) {
         add_variance(x, b->grown);
@@ -109,7 +115,7 @@ static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_ban
     const float explained_V2 = bent_variance(explained(&column, slopes->slope_V, p->m_V), slopes->bend_V);
     const float off_V = b->said_V - voltage_at(x, p, p->r0_ohm * b->said_A);
     const float variance_V2 = explained_V2 + b->error_V2;
-    b->sum_V = b->sum_V + (x->weight * off_V);
+    b->mean_off_V = b->mean_off_V + (x->weight * off_V);
     b->square_V2 = b->square_V2 + (x->weight * (off_V * off_V));
     b->own_V2 = b->own_V2 + (x->weight * variance_V2);
     float left_V2 = explained_V2;

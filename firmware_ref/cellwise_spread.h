@@ -38,7 +38,7 @@ static void end_block(const cellwise_model *m, cellwise_bank *b, const cellwise_
     note_movement(m, b, &of[0u], &p);
     note_voltage(m, b, &of[0u], of[b->likeliest].soc, &place, &p);
     ask_for_look(m, b);
-    b->sum_V = 0.0f;
+    b->mean_off_V = 0.0f;
     b->square_V2 = 0.0f;
     b->own_V2 = 0.0f;
     b->turn = next_turn(of, count, 1u);
@@ -77,8 +77,8 @@ static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state 
 {
     const cellwise_constants *const c = &m->constant;
     if (b->share > 0.0f) {
-        const float variance_V2 = mixture_variance(b->own_V2, b->sum_V, b->square_V2);
-        const float most = at_most((b->sum_V * b->sum_V) / variance_V2, c->mismatch_cap);
+        const float variance_V2 = mixture_variance(b->own_V2, b->mean_off_V, b->square_V2);
+        const float most = at_most((b->mean_off_V * b->mean_off_V) / variance_V2, c->mismatch_cap);
         b->mismatch = lately_shown(b->mismatch, most, b->lately);
     }
     note_look(m, b);
@@ -112,11 +112,8 @@ static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state
 /* Whether a block is: at the first sample, the first voltage, a gap, or after its time. */
 static bool is_over(const cellwise_model *m, cellwise_bank *b, const cellwise_state *x)
 {
-    bool over = false;
+    bool over = (b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps);
     if ((b->looks == NEVER_LOOKED) || (has_voltage(x) && (b->known == 0u))) {
-        over = true;
-    }
-    if ((b->unknown_A2 > 0.0f) || (b->steps >= m->constant.block_steps)) {
         over = true;
     }
     return over;
@@ -138,14 +135,14 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
         out->innovation_variance_V2 = of[0u].error_V2 + grown_V2;
     }
     if (begins || (elapsed > 0.0f)) {
-        collect_sample(m, b, &of[0u], out->innovation_V, begins ? 0.0f : elapsed, lost, before_A);
+        collect_sample(m, b, &of[0u], out, begins ? 0.0f : elapsed, lost, before_A);
         if (b->turn > 0u) {
             take_turns(m, b, of, count);
         } else if (is_over(m, b, &of[0u])) {
             end_block(m, b, of, count);
         } else { /* as before */
         }
-        if (uses_voltage(&of[0u])) {
+        if (uses_voltage(&of[0u], out)) {
             const float square = out->innovation_V * out->innovation_V;
             if (square > (m->constant.gate_square * out->innovation_variance_V2)) {
                 status = status | CELLWISE_INNOVATION_REJECTED;

@@ -119,9 +119,10 @@ static bool has_voltage(const cellwise_state *x)
 }
 
 /* Whether the last sample had a voltage that can be used. */
-static bool uses_voltage(const cellwise_state *x)
+static bool uses_voltage(const cellwise_state *x, cellwise_output *out)
 {
-    return x->no_voltage == 0u;
+    (void)out;
+    return has_voltage(x) && (x->no_voltage == 0u);
 }
 
 /* What rounding has kept from the sums is dropped: they are set. */

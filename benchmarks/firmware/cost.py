@@ -13,7 +13,7 @@ from benchmarks.parts import each_case
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.layout import BANK, sketch_type
+from cellwise.estimate.fixed.layout import bank_type, sketch_type
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
@@ -125,13 +125,13 @@ def _step_cost(core: str, name: str, model: CellModel, tables: FixedStepTables) 
             tables, core, records[:BANK_STEPS], START_SOC - 0.3, 0.15**2,
             measure_every=BANK_EVERY, of="bank",
         ).cost  # fmt: skip
-        figures += _bank_cost(f"{core}: {name}, a bank of {COMPONENTS}", bank)
+        memory = (1 + COMPONENTS) * bank.state_bytes + bank_type(tables.options).itemsize
+        figures += _bank_cost(f"{core}: {name}, a bank of {COMPONENTS}", bank, memory)
     return figures
 
 
-def _bank_cost(group: str, cost: Cost) -> list[Figure]:
+def _bank_cost(group: str, cost: Cost, memory: int) -> list[Figure]:
     """A step while a bank looks for a start that is 30 points off."""
-    memory = (1 + COMPONENTS) * cost.state_bytes + BANK.itemsize
     note = f"{cost.measured} of the first {BANK_STEPS} steps of the drive, counted in QEMU"
     return [
         Figure(group, "mean", cost.instructions_mean, "instructions", note=note),

@@ -31,7 +31,7 @@ from benchmarks.firmware.cost import (
 from benchmarks.measured_data import REPOSITORY
 from benchmarks.publish import commit_here
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.layout import BANK
+from cellwise.estimate.fixed.layout import bank_type
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.cross import COMPONENTS, cores_here, run_on_target
 from cellwise.files import write_atomically
@@ -74,8 +74,11 @@ def measured() -> dict[str, Any]:
             measure_every=BANK_EVERY, of="bank",
         ).cost  # fmt: skip
         costs[core] = {name: asdict(cost) for name, cost in own.items()}
+    bank_bytes = bank_type(tables["wide"].options).itemsize
     today = datetime.now(UTC).date().isoformat()
-    return {"commit": commit_here(), "date": today, "bank_bytes": BANK.itemsize, "costs": costs}
+    return {
+        "commit": commit_here(), "date": today, "bank_bytes": bank_bytes, "costs": costs,
+    }  # fmt: skip
 
 
 def cost_table(results: dict[str, Any]) -> str:

@@ -35,7 +35,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
         "plan_result": layout.PLAN_RESULT,
         "pack_cell": layout.CELL, "cell_output": layout.CELL_OUTPUT,
         "soh": layout.SOH,
-        **({"bank": layout.BANK} if o.bank else {}),
+        **({"bank": layout.bank_type(o)} if o.bank else {}),
     }  # fmt: skip
     lines, expected = [], []
     for name, kind in records.items():

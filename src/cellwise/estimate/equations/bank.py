@@ -32,7 +32,7 @@ from cellwise.cell.equations.double import (
     vanishing,
 )
 from cellwise.cell.equations.scalar import at_least, at_most, clip
-from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.components import (
     component_from,
     component_update,
@@ -380,7 +380,7 @@ def note_look(m: Model, b: Bank) -> None:
 
 @part
 def collect_sample(
-    m: Model, b: Bank, x: State, off_V: float, elapsed: float, lost: bool, before_A: float
+    m: Model, b: Bank, x: State, out: Output, elapsed: float, lost: bool, before_A: float
 ) -> None:
     """A sample into its block; ``before_A`` is the current of the one before."""
     unmeasured_A2 = unmeasured(m, x)
@@ -388,9 +388,9 @@ def collect_sample(
     b.steps = b.steps + elapsed
     b.samples = b.samples + 1.0
     b.block_A = b.block_A + ((current_A - b.block_A) / b.samples)
-    if uses_voltage(x):
+    if uses_voltage(x, out):
         b.readings = b.readings + 1.0
-        b.off_V = b.off_V + ((off_V - b.off_V) / b.readings)
+        b.off_V = b.off_V + ((out.innovation_V - b.off_V) / b.readings)
     b.unknown_A2 = at_least(b.unknown_A2, unmeasured_A2)
     if lost:
         b.unknown_A2 = at_least(b.unknown_A2, (current_A * current_A) + (before_A * before_A))
@@ -454,12 +454,17 @@ def note_voltage(m: Model, b: Bank, x: State, likeliest_soc: float, place: Place
 @unrolled_by_option
 def carry_on(x: State, b: Bank, p: Point, slopes: Slopes) -> None:
     """A state over a block, its SOC apart: what the estimate has done, by its own tables."""
-    relax(x, p, *(b.gain[i] for i in BRANCHES), *(b.current[i] for i in BRANCHES), b.square_A2)  # type: ignore[call-arg]
+    gain: dict[Any, float] = {}
+    current: dict[Any, float] = {}
+    for i in BRANCHES:
+        gain[i] = b.gain[i] if THERE else 0.0
+        current[i] = b.current[i] if THERE else 0.0
+    relax(x, p, *(gain[i] for i in BRANCHES), *(current[i] for i in BRANCHES), b.square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         x.h = clip((b.keep_h * x.h) + b.rise_h, -1.0, 1.0)
         fade_hysteresis(x, b.keep_h)
     if slopes.spread > 0.0:
-        tilt(x, slopes, *(b.gain[i] * b.current[i] for i in BRANCHES))
+        tilt(x, slopes, *(gain[i] * current[i] for i in BRANCHES))
     if positive_above(1.0, x.ss):
         add_variance(x, b.grown)
 
@@ -476,7 +481,7 @@ def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
     explained_V2 = bent_variance(explained(column, slopes.slope_V, p.m_V), slopes.bend_V)
     off_V = b.said_V - voltage_at(x, p, p.r0_ohm * b.said_A)
     variance_V2 = explained_V2 + b.error_V2
-    b.sum_V = b.sum_V + (x.weight * off_V)
+    b.mean_off_V = b.mean_off_V + (x.weight * off_V)
     b.square_V2 = b.square_V2 + (x.weight * (off_V * off_V))
     b.own_V2 = b.own_V2 + (x.weight * variance_V2)
     left_V2 = explained_V2
@@ -543,7 +548,7 @@ def end_block(m: Model, b: Bank, of: States, count: int) -> None:
     note_movement(m, b, of[0], p)
     note_voltage(m, b, of[0], of[U(b.likeliest)].soc, place, p)
     ask_for_look(m, b)
-    b.sum_V = 0.0
+    b.mean_off_V = 0.0
     b.square_V2 = 0.0
     b.own_V2 = 0.0
     b.turn = next_turn(of, count, U(1))
@@ -578,8 +583,8 @@ def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
     """Every component has had its turn: their weights, and the estimate as it is now."""
     c = m.constant
     if b.share > 0.0:
-        variance_V2 = mixture_variance(b.own_V2, b.sum_V, b.square_V2)
-        most = at_most((b.sum_V * b.sum_V) / variance_V2, c.mismatch_cap)
+        variance_V2 = mixture_variance(b.own_V2, b.mean_off_V, b.square_V2)
+        most = at_most((b.mean_off_V * b.mean_off_V) / variance_V2, c.mismatch_cap)
         b.mismatch = lately_shown(b.mismatch, most, b.lately)
     note_look(m, b)
     b.turn = U(0)
@@ -613,12 +618,10 @@ def take_turns(m: Model, b: Bank, of: States, count: int) -> None:
 @part
 def is_over(m: Model, b: Bank, x: State) -> bool:
     """Whether a block is: at the first sample, the first voltage, a gap, or after its time."""
-    over = False
+    over = b.unknown_A2 > 0.0 or b.steps >= m.constant.block_steps
     if b.looks == NEVER_LOOKED or (has_voltage(x) and b.known == U(0)):
         over = True
-    if b.unknown_A2 > 0.0 or b.steps >= m.constant.block_steps:
-        over = True
-    return over
+    return over  # type: ignore[no-any-return]
 
 
 @part
@@ -646,14 +649,14 @@ def step_spread(
         grown_V2 = at_least(out.innovation_variance_V2 - b.first_V2, 0.0)
         out.innovation_variance_V2 = of[0].error_V2 + grown_V2
     if begins or elapsed > 0.0:
-        collect_sample(m, b, of[0], out.innovation_V, 0.0 if begins else elapsed, lost, before_A)
+        collect_sample(m, b, of[0], out, 0.0 if begins else elapsed, lost, before_A)
         if b.turn > U(0):
             take_turns(m, b, of, count)
         elif is_over(m, b, of[0]):
             end_block(m, b, of, count)
             if AT_ONCE:
                 take_turns(m, b, of, count)
-        if uses_voltage(of[0]):
+        if uses_voltage(of[0], out):
             square = out.innovation_V * out.innovation_V
             if square > m.constant.gate_square * out.innovation_variance_V2:
                 status = U(status | INNOVATION_REJECTED)

@@ -140,9 +140,9 @@ def hold_within(a: State) -> None:
 
 
 @inline
-def uses_voltage(a: State) -> bool:
+def uses_voltage(a: State, out: Out) -> bool:
     """Whether the last sample had a voltage that can be used."""
-    return bool(a.no_voltage_s == 0.0)
+    return bool(math.isfinite(out.innovation_V))
 
 
 @inline
@@ -202,6 +202,6 @@ def coast(m: BankModel, a: State, reading: CheckedReading, out: Out) -> int:
     )  # fmt: skip
     put_record(a, 0, 1, state, True)
     out.voltage_V = info.voltage_V
-    out.innovation_V = off_V
+    out.innovation_V = off_V if used else math.nan
     out.innovation_variance_V2 = info.innovation_variance_V2
     return info.status

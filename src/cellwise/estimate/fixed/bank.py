@@ -59,7 +59,7 @@ def is_past_block_sound(b: Bank) -> bool:
         good = False
     if not not_negative(b.below, SINCE_MOST) or not not_negative(b.share, 1.0):
         good = False
-    if not size_within(b.sum_V, LARGE) or not not_negative(b.square_V2, LARGE):
+    if not size_within(b.mean_off_V, LARGE) or not not_negative(b.square_V2, LARGE):
         good = False
     if not not_negative(b.own_V2, LARGE):
         good = False

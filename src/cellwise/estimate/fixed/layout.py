@@ -278,7 +278,10 @@ RECORDS = {
         Field("since", "steps since the start"),
         Field("looks", "how often the past has been looked at", "", "u4"),
         Field("next_look", "when it is next"),
-        *(Field(s.name, "of the estimate where a block began" if s is SOC else "") for s in STATES),
+        *(
+            Field(s.name, "of the estimate where a block began" if s is SOC else "", _option(s))
+            for s in STATES
+        ),
         Field("ss"),
         Field("steps", "of the block,"),
         Field("samples", "its samples,"),
@@ -292,11 +295,17 @@ RECORDS = {
         Field("look", "at the past, that goes with it", "", "u4"),
         Field("moved", "what it has done: to the SOC,"),
         Field("grown", "to its variance,"),
-        *(Field(f"gain{s.letter}", "to the branches, each" if s is V1 else "") for s in BRANCHES),
-        *(Field(f"current{s.letter}", "by a current," if s is V1 else "") for s in BRANCHES),
+        *(
+            Field(f"gain{s.letter}", "to the branches, each" if s is V1 else "", _option(s))
+            for s in BRANCHES
+        ),
+        *(
+            Field(f"current{s.letter}", "by a current," if s is V1 else "", _option(s))
+            for s in BRANCHES
+        ),
         Field("square_A2", "of which so much is not known,"),
-        Field("keep_h", "and to h"),
-        Field("rise_h"),
+        Field("keep_h", "and to h", "HYSTERESIS"),
+        Field("rise_h", "", "HYSTERESIS"),
         Field("said_V", "its voltage,"),
         Field("said_A", "under this current,"),
         Field("error_V2", "its variance,"),
@@ -304,7 +313,7 @@ RECORDS = {
         Field("below", "over this;"),
         Field("share", "how much of it is new"),
         Field("lately", "its weight in the running mismatch"),
-        Field("sum_V", "off what components have expected, their mean,"),
+        Field("mean_off_V", "off what components have expected, their mean,"),
         Field("square_V2", "mean square,"),
         Field("own_V2", "and variance"),
         Field("sequence", "of the last sample", "", "u4"),
@@ -447,8 +456,8 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH, SOH_OUTPUT = (
-    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:-1]
+INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH, SOH_OUTPUT = (
+    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][3:-1]
 )
 
 
@@ -460,6 +469,11 @@ def row_names(options: Options) -> list[str]:
 def state_type(options: Options) -> np.dtype[Any]:
     """Record type of the state."""
     return _record_type(RECORDS["State"], options)
+
+
+def bank_type(options: Options) -> np.dtype[Any]:
+    """Record type of a bank."""
+    return _record_type(RECORDS["Bank"], options)
 
 
 def constant_type(options: Options) -> np.dtype[Any]:

@@ -171,9 +171,9 @@ def has_voltage(x: State) -> bool:
     return x.evidence >= FIRST_VOLTAGE  # type: ignore[no-any-return]
 
 
-def uses_voltage(x: State) -> bool:
+def uses_voltage(x: State, out: Output) -> bool:
     """Whether the last sample had a voltage that can be used."""
-    return x.no_voltage == U(0)  # type: ignore[no-any-return]
+    return has_voltage(x) and x.no_voltage == U(0)
 
 
 @unrolled_by_option

@@ -43,8 +43,15 @@ from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.bank import step_bank
 from cellwise.estimate.fixed.fixed_cells import cell_of, mean_voltage, step_cells
-from cellwise.estimate.fixed.layout import BANK as BANK_TYPE
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, ROW, Model, row_names, state_type
+from cellwise.estimate.fixed.layout import (
+    INPUT,
+    OUTPUT,
+    ROW,
+    Model,
+    bank_type,
+    row_names,
+    state_type,
+)
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import step
 from cellwise.estimate.fixed.tables import FixedStepTables
@@ -302,7 +309,7 @@ class Stepper:
         self, count: int, soc: float, soc_variance: float
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         """A bank and its states: the estimate, and behind it ``count`` components."""
-        one = np.zeros(1, dtype=BANK_TYPE)
+        one = np.zeros(1, dtype=bank_type(self.tables.options))
         states = np.zeros(1 + count, dtype=state_type(self.tables.options))
         self.call("start_bank", one, states, count, soc, soc_variance)
         return one, states
