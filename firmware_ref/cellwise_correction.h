@@ -90,6 +90,23 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
     return status;
 }
 
+/* SOC's variance of what has flowed unseen, as far as a voltage shows it, at most `unseen`. The likeliest one (of
+ * greatest likelihood): a voltage that is off by no more than `known_V2` says that nothing has flowed, and takes
+ * nothing away from what is known of the SOC. */
+static float shown_unseen(float unseen, float off_V, float known_V2, float slope_V)
+{
+    const float beyond_V2 = (off_V * off_V) - known_V2;
+    const float slope2 = slope_V * slope_V;
+    float shown = unseen;
+    if (!(beyond_V2 > 0.0f)) {
+        shown = 0.0f;
+    } else if (beyond_V2 < (unseen * slope2)) {
+        shown = beyond_V2 / slope2;
+    } else { /* as before */
+    }
+    return shown;
+}
+
 /* The variance that a voltage has shown is the SOC's; the rest of it is stated beside P. */
 static void open_up_to(cellwise_state *x, float unseen, float shown)
 {

@@ -59,23 +59,6 @@ static float unseen_variance(float gap_variance, float gap_A2, float lost_A2, fl
     return at_most((per_A * per_A) * at_least(gap_A2, lost_A2), gap_variance);
 }
 
-/* SOC's variance of what has flowed unseen, as far as a voltage shows it, at most `unseen`. The likeliest one (of
- * greatest likelihood): a voltage that is off by no more than `known_V2` says that nothing has flowed, and takes
- * nothing away from what is known of the SOC. */
-static float shown_unseen(float unseen, float off_V, float known_V2, float slope_V)
-{
-    const float beyond_V2 = (off_V * off_V) - known_V2;
-    const float slope2 = slope_V * slope_V;
-    float shown = unseen;
-    if (!(beyond_V2 > 0.0f)) {
-        shown = 0.0f;
-    } else if (beyond_V2 < (unseen * slope2)) {
-        shown = beyond_V2 / slope2;
-    } else { /* as before */
-    }
-    return shown;
-}
-
 /* SOC's variance after an interval of which nobody knows the current. It may keep one sign for as long as it is
  * away: the deviation grows, not the variance. */
 static float drifted_variance(float variance, float moved)

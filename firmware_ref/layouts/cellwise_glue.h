@@ -44,7 +44,7 @@ typedef struct {
     uint32_t status; /* bits of the last step */
     float soc;
     float soc_std;
-    float kept_soc; /* of the last write */
+    float kept_soc; /* of the last write; NAN: there was none */
     bool is_begun; /* a step has been made */
 } cellwise_glue;
 
@@ -74,7 +74,7 @@ static inline uint32_t cellwise_glue_begin(cellwise_glue *g, uint32_t now_ms, ui
 #endif
     g->soc = g->state[0].soc;
     g->soc_std = sqrtf(g->state[0].ss);
-    g->kept_soc = g->soc;
+    g->kept_soc = ((g->restored == 0u) || (g->restored == CELLWISE_OTHER_MODEL)) ? g->soc : NAN;
     g->charge_As = 0.0f;
     g->since_ms = 0u;
     g->called_ms = now_ms;
@@ -127,10 +127,11 @@ static inline bool cellwise_glue_is_valid(const cellwise_glue *g)
     return (g->faults == 0u) && g->is_begun && ((g->status & CELLWISE_GLUE_BLIND) == 0u);
 }
 
-/* Whether the SOC is a point from what was written last: counted, or learnt. */
+/* Whether the SOC is a point from what was written last: counted, or learnt. A start that nobody knows waits for its
+ * regular write, so that slots which are read late are not written over. */
 static inline bool cellwise_glue_has_moved(const cellwise_glue *g)
 {
-    return !(fabsf(g->soc - g->kept_soc) < CELLWISE_GLUE_MOVED_SOC);
+    return fabsf(g->soc - g->kept_soc) >= CELLWISE_GLUE_MOVED_SOC;
 }
 
 /* Fill the slot that is not the newest; which one is to be written. A loss of power leaves the other as it is. */

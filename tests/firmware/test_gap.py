@@ -11,8 +11,8 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
-from cellwise.estimate.equations.sensors import shown_unseen
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.step import shown_unseen
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.firmware import HostLibrary
 from cellwise.logs.cell_log import CellLog
@@ -30,7 +30,7 @@ def test_the_variance_that_a_voltage_shows_is_the_likeliest(seed):
     tried = np.linspace(0.0, unseen, 20001)
     variance_V2 = known_V2 + tried * slope_V**2
     likeliest = tried[np.argmin(np.log(variance_V2) + off_V**2 / variance_V2)]
-    found = shown_unseen.py_func(unseen, off_V, known_V2, slope_V)
+    found = shown_unseen(unseen, off_V, known_V2, slope_V)
     assert found == pytest.approx(likeliest, abs=unseen / 10000)
 
 

@@ -242,7 +242,9 @@ def test_a_filter_that_keeps_nothing_begins_as_it_is_told(folder):
 
 def test_a_filter_keeps_its_state_where_the_soc_has_moved_by_a_point(folder):
     exported = read_export(folder)
-    said, written = run_restarted(exported, *torn_at_100(exported, 1.0), (0.7, 0.1), 1.0)
+    records, event = torn_at_100(exported, 1.0)
+    event[10] = SAVE
+    said, written = run_restarted(exported, records, event, (0.7, 0.1), 1.0)
     rows = np.flatnonzero(written[:100])
     assert np.all(np.diff(said["soc"][rows - 1]) < -0.01 + 1e-6)
     last = rows[-1] - 1

@@ -65,7 +65,7 @@ def run_restarted(
             memory = exported.started(*start)  # as nobody knows better, unless a slot does
             _restore(stepper, slots, memory)
             records["sequence"][first:] -= records["sequence"][first]
-        kept_soc = memory.states["soc"][0]
+        kept_soc = memory.states["soc"][0] if written.any() else np.nan
         for row in range(first, last, look):
             if abs(memory.states["soc"][0] - kept_soc) >= MOVED_SOC:
                 _write(stepper.loaded, slots, memory, torn=False)

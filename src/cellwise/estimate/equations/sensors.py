@@ -86,23 +86,6 @@ def unseen_variance(gap_variance: float, gap_A2: float, lost_A2: float, per_A: f
 
 
 @inline
-def shown_unseen(unseen: float, off_V: float, known_V2: float, slope_V: float) -> float:
-    """SOC's variance of what has flowed unseen, as far as a voltage shows it, at most ``unseen``.
-
-    The likeliest one (of greatest likelihood): a voltage that is off by no more than ``known_V2``
-    says that nothing has flowed, and takes nothing away from what is known of the SOC.
-    """
-    beyond_V2 = (off_V * off_V) - known_V2
-    slope2 = slope_V * slope_V
-    shown = unseen
-    if not (beyond_V2 > 0.0):
-        shown = 0.0
-    elif beyond_V2 < unseen * slope2:
-        shown = beyond_V2 / slope2
-    return shown
-
-
-@inline
 def drifted_variance(variance: float, moved: float) -> float:
     """SOC's variance after an interval of which nobody knows the current.
 

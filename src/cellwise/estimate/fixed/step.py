@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from cellwise.estimate.equations.covariance import Point, Slopes, move, narrow, scaled
 from cellwise.estimate.equations.evidence import as_shown
-from cellwise.estimate.equations.sensors import shown_unseen
 from cellwise.estimate.equations.start import guess_branches
 from cellwise.estimate.equations.weighing import (
     Innovation,
@@ -144,6 +143,22 @@ def weigh(
         elif verdict.recovers:
             recover(c, x, p, reading.delayed_current_A)
     return status
+
+
+def shown_unseen(unseen: float, off_V: float, known_V2: float, slope_V: float) -> float:
+    """SOC's variance of what has flowed unseen, as far as a voltage shows it, at most ``unseen``.
+
+    The likeliest one (of greatest likelihood): a voltage that is off by no more than ``known_V2``
+    says that nothing has flowed, and takes nothing away from what is known of the SOC.
+    """
+    beyond_V2 = (off_V * off_V) - known_V2
+    slope2 = slope_V * slope_V
+    shown = unseen
+    if not (beyond_V2 > 0.0):
+        shown = 0.0
+    elif beyond_V2 < unseen * slope2:
+        shown = beyond_V2 / slope2
+    return shown
 
 
 def open_up_to(x: State, unseen: float, shown: float) -> None:
