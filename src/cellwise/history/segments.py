@@ -18,14 +18,10 @@ from cellwise.typing import FloatArray
 
 
 class UsableSegment(NamedTuple):
-    """A stretch has a load of ``rate_C`` at least.
-
-    ``points`` are kept of it, of which one in ``thin`` is compared.
-    """
+    """A stretch has a load of ``rate_C`` at least; ``points`` are kept of it."""
 
     rate_C: float = 0.02
     points: int = 200
-    thin: int = 4
 
 
 class SameLoad(NamedTuple):
@@ -50,10 +46,9 @@ class Complete(NamedTuple):
 class Ageing(NamedTuple):
     """How a curve of voltage over charge changes in a life: standard deviations.
 
-    ``added_V``: of the drop that a life adds, and
-    ``gained_V`` where it falls (a sensor's, or warmer); ``uneven``: share of an added resistance
-    that is not the same at every SOC; ``length``: of the SOC range, over which a change of shape
-    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range.
+    ``added_V``: of the drop that a life adds, and ``gained_V`` where it falls (a sensor's, or
+    warmer); ``uneven``: share of an added resistance that is not the same at every SOC; ``length``:
+    of the SOC range, over which a change of shape stays alike; ``least_V`` of that change.
     """
 
     added_V: float = 0.15
@@ -61,12 +56,11 @@ class Ageing(NamedTuple):
     uneven: float = 0.2
     length: float = 0.3
     least_V: float = 0.002
-    over: float = 0.02
 
 
 USABLE, SAME, COMPLETE, AGEING = UsableSegment(), SameLoad(), Complete(), Ageing()
 SHARES = np.linspace(0.5, 1.15, 131)
-BEGINS = np.linspace(-0.15, 1.0, 93)  # of the reference's range
+BEGINS = np.linspace(0.0, 1.0, 81)  # of the reference's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +178,7 @@ def compare(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegments:
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
         return ComparedSegments(
-            share, FADE.start_std * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
+            share, FADE.start_std * np.sqrt(2.0), added, AGEING.uneven * abs(added) + 1e-4, True
         )
 
     return _marginal(one, reference)
@@ -198,8 +192,8 @@ def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegment
     """
     share = SHARES[:, None, None]
     begin = BEGINS[None, :, None] * reference.moved_Ah
-    at = begin + one.charge_Ah[None, None, :: USABLE.thin] / share
-    left = one.voltage_V[None, None, :: USABLE.thin] - _extended(at, reference)
+    at = begin + one.charge_Ah / share
+    left = one.voltage_V - _extended(at, reference)
     added = -left.mean(axis=2) / one.current_A  # the resistance that fits each best
     drop = added * abs(one.current_A)
     spread = np.hypot(AGEING.uneven * drop, AGEING.least_V)
@@ -210,8 +204,7 @@ def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegment
     likely -= 0.5 * (drop / np.where(drop > 0.0, AGEING.added_V, AGEING.gained_V)) ** 2
     likely -= 0.5 * ((SHARES[:, None] - 1.0) / AGED.ln_capacity) ** 2
     end = (begin[..., 0] + one.moved_Ah / share[..., 0]) / reference.moved_Ah
-    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / AGEING.over) ** 2
-    likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / AGEING.over) ** 2
+    likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / FADE.start_std) ** 2
     weight = np.exp(likely - likely.max())
     weight /= weight.sum()
     capacity = float((weight * SHARES[:, None]).sum())

@@ -12,6 +12,7 @@ import numpy as np
 from cellwise.cell.plausibility.validity import check_one_cell
 from cellwise.errors import InputError
 from cellwise.fit.model_error import SAME_TEMPERATURE_K
+from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
@@ -30,16 +31,7 @@ from cellwise.wording import arg
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
 # of one cell and two in series by 2.
 OTHER_VOLTAGE = 1.9
-
-
-class _Together(NamedTuple):
-    """Which logs are of one test, or of one temperature."""
-
-    loads: int = 2  # that a temperature without pulses needs for tables of its own
-    whole: float = 0.5  # of the largest discharge: a test's last per cent is no test of its own
-
-
-LIMITS = _Together()
+OWN_TABLES_LOADS = 2  # that a temperature without pulses needs for tables of its own
 LowRateTest = tuple[CellLog, ...]
 
 
@@ -156,7 +148,7 @@ def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> l
     head_C = default_C
     for log, size in zip(logs, sizes, strict=True):
         at = log_temperature_C(log, None, default_C)
-        whole = most > 0.0 and size >= LIMITS.whole * most
+        whole = most > 0.0 and size >= HALF_CYCLES.whole * most
         if not found or (whole and abs(at - head_C) > SAME_TEMPERATURE_K):
             found.append([log])
             head_C = at
@@ -234,7 +226,7 @@ def _of_all(tests: CellTests, low_rate: Sequence[LowRateTest], default_C: float)
         if abs(at - near) > SAME_TEMPERATURE_K or not found:
             near = float(round(at))
         found[near] = found.get(near, 0) + 1
-    several = sorted(t for t, loads in found.items() if loads >= LIMITS.loads)
+    several = sorted(t for t, loads in found.items() if loads >= OWN_TABLES_LOADS)
     if len(several) > 1:
         return several
     first = [log_temperature_C(log, t, default_C) for log, t in tests.drive[:1]]

@@ -12,6 +12,7 @@ from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.fit.log_starts import TRIALS
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
+from cellwise.logs.gaps import runs_of
 from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray
 from cellwise.wording import Option
@@ -98,8 +99,5 @@ def _assumed(checked: CheckedLogs) -> list[Notice]:
 
 def _stretches(inside: BoolArray) -> list[tuple[float, float]]:
     """Runs of at least two points of an even SOC grid, as lowest and highest."""
-    padded = np.concatenate(([False], inside, [False])).astype(int)
-    starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1) - 1
     grid = np.linspace(0.0, 1.0, POINTS)
-    pairs = zip(starts, stops, strict=True)
-    return [(float(grid[a]), float(grid[b])) for a, b in pairs if b > a]
+    return [(float(grid[a]), float(grid[b])) for a, b in runs_of(inside) if b > a]

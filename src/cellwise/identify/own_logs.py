@@ -23,6 +23,7 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.fit.model_error import LEAST_LOG
 from cellwise.identify.assemble import own_model
+from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
 from cellwise.identify.ocv.curve import LIMITS
@@ -225,7 +226,7 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
     found = {}
     for name, sign in (("discharge", 1.0), ("charge", -1.0)):
         rows = np.zeros(len(log), dtype=np.bool_)
-        for half in (h for h in halves if sign * h.charge_Ah >= 0.5 * most):
+        for half in (h for h in halves if sign * h.charge_Ah >= HALF_CYCLES.whole * most):
             rows[half.steady_start : half.steady_stop] = True
         if np.count_nonzero(rows) >= LEAST_LOG:
             found[name] = rows

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cellwise.cell.initial_soc.rest import REST_RATE
+from cellwise.cell.plausibility.validity_kernels import ENTROPY_V_PER_K
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.logs.cell_log import CellLog
@@ -37,8 +38,7 @@ class RestRules(NamedTuple):
     """How rests are read.
 
     ``shortest_s``: of a rest; ``reading``: share of it over which a reading is the mean;
-    ``same_soc``: rests at SOCs closer than this read the same error of the OCV and count as one;
-    ``entropy_V_per_K``: what a temperature apart from the model's may add (usual electrodes).
+    ``same_soc``: rests at SOCs closer than this read the same error of the OCV and count as one.
     Of the current, in units of 1C: at rest it is smaller than ``small_C``, scatters less than
     ``quiet_C`` and shows a sensor's offset to ``std_C``; within ``zero_stds`` of these it reads
     nothing. A load that never switches off may look like a rest, so that a reading other than zero
@@ -48,7 +48,6 @@ class RestRules(NamedTuple):
     shortest_s: float = 120.0
     reading: float = 0.05
     same_soc: float = 0.05
-    entropy_V_per_K: float = 3e-4
     small_C: float = 0.06
     quiet_C: float = 0.02
     std_C: float = 0.001
@@ -196,7 +195,7 @@ class RestVoltages:
         gap = of_tables(np.abs(inputs.table[..., M]))
         outside = np.min(np.abs(model.temperature_C[:, None] - warm), axis=0)
         own = np.maximum(OCV_KNOWN.least_V, OCV_KNOWN.share * np.asarray(model.slow_error_V(at)))
-        std = np.sqrt(own**2 + (RULES.entropy_V_per_K * outside) ** 2 + gap**2)
+        std = np.sqrt(own**2 + (ENTROPY_V_PER_K * outside) ** 2 + gap**2)
         return soc, ocv + (soc - at) * slope, std
 
 
