@@ -185,9 +185,8 @@ static float taken(const cellwise_constants *c, const cellwise_state *x, float c
     return used;
 }
 
-/* Samples are missing: the branches may hold what the currents on both sides can have left. With CELLWISE_WIDE they
- * relax towards the mean of these currents, too. Returns the variance of SOC that the voltage is asked for: of what
- * has flowed unseen, and beyond the tangent's reach. */
+/* Samples are missing: branches may hold what both currents left, and relax towards their mean. Returns the variance
+ * of SOC that the voltage is asked for: unseen, or beyond the tangent. */
 static float cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, uint32_t missing,
                        float current, float bridge)
 {

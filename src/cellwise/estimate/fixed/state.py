@@ -239,10 +239,9 @@ def taken(c: Constants, x: State, current: float) -> float:
 def cross_gap(
     c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
 ) -> float:
-    """Samples are missing: the branches may hold what the currents on both sides can have left.
+    """Samples are missing: branches may hold what both currents left, and relax towards their mean.
 
-    With CELLWISE_WIDE they relax towards the mean of these currents, too. Returns the variance of
-    SOC that the voltage is asked for: of what has flowed unseen, and beyond the tangent's reach.
+    Returns the variance of SOC that the voltage is asked for: unseen, or beyond the tangent.
     """
     unknown_A2 = (current * current) + (x.current_A * x.current_A)
     steps = F(missing)
