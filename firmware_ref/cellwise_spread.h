@@ -96,12 +96,25 @@ static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state 
     }
 }
 
+/* Whether every component follows in the sample that ends a block: where each one does. */
+static bool follow_at_once(const cellwise_model *m)
+{
+    const bool at_once = m->constant.block_steps <= 1.0f;
+    return at_once;
+}
+
 /* The components over the block that has ended: one with every sample, or all at once. */
 static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
     cellwise_place place;
     place_now(m, &of[0u], &place);
-    if (b->turn <= count) {
+    if (follow_at_once(m)) {
+        while (b->turn <= count) {
+            step_component(m, b, &of[b->turn], &place);
+            b->turn = next_turn(of, count, b->turn + 1u);
+        }
+        use_block(m, b, of, count, &place);
+    } else if (b->turn <= count) {
         step_component(m, b, &of[b->turn], &place);
         b->turn = next_turn(of, count, b->turn + 1u);
     } else {
@@ -140,6 +153,9 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
             take_turns(m, b, of, count);
         } else if (is_over(m, b, &of[0u])) {
             end_block(m, b, of, count);
+            if (follow_at_once(m)) {
+                take_turns(m, b, of, count);
+            }
         } else { /* as before */
         }
         if (uses_voltage(&of[0u], out)) {

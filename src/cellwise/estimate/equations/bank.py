@@ -600,10 +600,19 @@ def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
 
 
 @part
+def follow_at_once(m: Model) -> bool:
+    """Whether every component follows in the sample that ends a block: where each one does."""
+    at_once = m.constant.block_steps <= 1.0
+    if AT_ONCE:
+        at_once = True
+    return at_once  # type: ignore[no-any-return]
+
+
+@part
 def take_turns(m: Model, b: Bank, of: States, count: int) -> None:
     """The components over the block that has ended: one with every sample, or all at once."""
     place = place_now(m, of[0])
-    if AT_ONCE:
+    if follow_at_once(m):
         while b.turn <= count:
             step_component(m, b, of[U(b.turn)], place)
             b.turn = next_turn(of, count, U(b.turn + 1))
@@ -654,7 +663,7 @@ def step_spread(
             take_turns(m, b, of, count)
         elif is_over(m, b, of[0]):
             end_block(m, b, of, count)
-            if AT_ONCE:
+            if follow_at_once(m):
                 take_turns(m, b, of, count)
         if uses_voltage(of[0], out):
             square = out.innovation_V * out.innovation_V
