@@ -80,6 +80,9 @@ static bool is_past_block_sound(cellwise_bank *b)
     if (!SIZE_WITHIN(b->mean_off_V, LARGE) || !NOT_NEGATIVE(b->square_V2, LARGE)) {
         good = false;
     }
+    if (!SIZE_WITHIN(b->left_V, LARGE) || !NOT_NEGATIVE(b->left_V2, LARGE)) {
+        good = false;
+    }
     if (!NOT_NEGATIVE(b->own_V2, LARGE)) {
         good = false;
     }

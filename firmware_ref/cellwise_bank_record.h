@@ -52,7 +52,9 @@ typedef struct {
     float lately; /* its weight in the running mismatch */
     float mean_off_V; /* off what components have expected, their mean, */
     float square_V2; /* mean square, */
-    float own_V2; /* and variance */
+    float own_V2; /* and variance; */
+    float left_V; /* the same after it, their mean, */
+    float left_V2; /* mean square */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 #endif

@@ -135,7 +135,9 @@ static void weigh_block(const cellwise_model *m, cellwise_state *x, cellwise_ban
         left_V2 = explained_V2 - (taken * explained_V2);
         left_V = off_V - (taken * used.off_V);
     }
-    x->error_V2 = (left_V * left_V) + (left_V2 + b->error_V2);
+    x->error_V2 = left_V2 + b->error_V2;
+    b->left_V = b->left_V + (x->weight * left_V);
+    b->left_V2 = b->left_V2 + (x->weight * (left_V * left_V));
     hold_within(x);
 }
 

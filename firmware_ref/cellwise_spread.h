@@ -41,6 +41,8 @@ static void end_block(const cellwise_model *m, cellwise_bank *b, const cellwise_
     b->mean_off_V = 0.0f;
     b->square_V2 = 0.0f;
     b->own_V2 = 0.0f;
+    b->left_V = 0.0f;
+    b->left_V2 = 0.0f;
     b->turn = next_turn(of, count, 1u);
     begin_block(b, &of[0u]);
 }
@@ -60,15 +62,16 @@ static void carry_estimate(const cellwise_model *m, cellwise_bank *b, cellwise_s
     b->off_V = b->off_V + (before_V - voltage_at(x, &p, p.r0_ohm * b->block_A));
 }
 
-/* Variance of the next innovation: of all of them by their weights, about what was measured. */
-static void expect_together(cellwise_state *of, uint32_t count)
+/* Variance of the next innovation: that of each by its weight, and how far they lie apart. */
+static void expect_together(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    of[0u].error_V2 = 0.0f;
+    float own_V2 = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
         if (of[k + 1u].cost < GIVEN_UP) {
-            of[0u].error_V2 = of[0u].error_V2 + (of[k + 1u].weight * of[k + 1u].error_V2);
+            own_V2 = own_V2 + (of[k + 1u].weight * of[k + 1u].error_V2);
         }
     }
+    of[0u].error_V2 = mixture_variance(own_V2, b->left_V, b->left_V2);
 }
 
 /* Every component has had its turn: their weights, and the estimate as it is now. */
@@ -89,11 +92,18 @@ static void use_block(const cellwise_model *m, cellwise_bank *b, cellwise_state 
         const float before_V = voltage_at(&of[0u], &p, p.r0_ohm * b->block_A);
         note_movement(m, b, &of[0u], &p);
         weigh_components(of, count, likeliest_of(b, of, count));
-        expect_together(of, count);
+        expect_together(b, of, count);
         gather(b, of, count);
         note_estimate(b, &of[0u]);
         carry_estimate(m, b, &of[0u], place, before_V);
     }
+}
+
+/* Whether every component follows in the sample that ends a block: where each one does. */
+static bool follow_at_once(const cellwise_model *m)
+{
+    const bool at_once = m->constant.block_steps <= 1.0f;
+    return at_once;
 }
 
 /* The components over the block that has ended: one with every sample, or all at once. */
@@ -101,7 +111,13 @@ static void take_turns(const cellwise_model *m, cellwise_bank *b, cellwise_state
 {
     cellwise_place place;
     place_now(m, &of[0u], &place);
-    if (b->turn <= count) {
+    if (follow_at_once(m)) {
+        while (b->turn <= count) {
+            step_component(m, b, &of[b->turn], &place);
+            b->turn = next_turn(of, count, b->turn + 1u);
+        }
+        use_block(m, b, of, count, &place);
+    } else if (b->turn <= count) {
         step_component(m, b, &of[b->turn], &place);
         b->turn = next_turn(of, count, b->turn + 1u);
     } else {
@@ -140,6 +156,9 @@ static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_
             take_turns(m, b, of, count);
         } else if (is_over(m, b, &of[0u])) {
             end_block(m, b, of, count);
+            if (follow_at_once(m)) {
+                take_turns(m, b, of, count);
+            }
         } else { /* as before */
         }
         if (uses_voltage(&of[0u], out)) {

@@ -68,6 +68,17 @@ def test_three_states_stay_within_the_room_there_is(core, instructions, text, st
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("core", "instructions"), [("cortex-m0plus", 100_000)])
+def test_an_open_bank_stays_within_the_bound_of_instructions(core, instructions):
+    """One of its components follows with a sample, never all of them."""
+    run = run_on_target(
+        tables_of("plain"), core, drive_samples(300), 0.6, 0.0225, measure_every=1, of="bank"
+    ).cost
+    assert run.measured == 300
+    assert 5_000 < run.instructions_mean <= run.instructions_most <= instructions
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("core", "instructions"),
     [

@@ -277,6 +277,31 @@ def test_a_persistent_error_is_evidence_once(share):
     assert errors[-1] > 0.3 / share
 
 
+def test_components_follow_a_block_as_they_would_every_sample():
+    """Each by its own resistances, whatever current has flowed within the block."""
+    r_slope, rows = 0.5, 45
+    current_A = np.random.default_rng(4).uniform(-3.0, 6.0, rows)
+    ekf = Ekf(linear(r_slope))
+    state = ekf.init(0.5, 0.15)
+    for k in range(rows):
+        state, _ = ekf.step(state, current_A[k], np.nan, 25.0, dt_s=float(k > 0))
+        if k == 0:
+            began = np.frombuffer(state.bank.tobytes(), STATE)[1:-1]["soc"].copy()
+    of = np.frombuffer(state.bank.tobytes(), STATE)[1:-1]
+    blocks = 40  # what is not over yet no component has seen
+    used = np.sum(current_A[1 : blocks + 1]) / 3600.0 / 3.0
+    np.testing.assert_allclose(of["soc"], np.clip(began - used, 0.0, 1.0), atol=1e-9)
+    bend = 1.0 + r_slope * of["soc"]
+    for name, r_ohm, tau_s in (
+        ("v1_V", 0.01, 2.0), ("v2_V", 0.02, 30.0), ("v3_V", R3_OHM, TAU3_S),
+    ):  # fmt: skip
+        left = np.exp(-1.0 / tau_s)
+        expected = 0.5 * current_A[0]
+        for now in current_A[1 : blocks + 1]:
+            expected = left * expected + (1.0 - left) * now
+        np.testing.assert_allclose(of[name], r_ohm * bend * expected, rtol=0.01)
+
+
 def test_what_nobody_counted_begins_the_components_again():
     ekf = Ekf(linear())
     state, _ = ekf.step(ekf.init(0.6, 0.005), 1.0, 3.75, dt_s=1.0)

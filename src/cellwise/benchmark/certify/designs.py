@@ -42,9 +42,9 @@ UNKNOWN_CAPACITY = 0.03  # of a data sheet's: between its minimum and its typica
 # states, as counted for benchmarks/results/firmware.json.
 STEPS: dict[str, tuple[dict[str, Any], int, int]] = {
     "lean": ({"wide": False}, 2160, 401),
-    "wide": ({"components": 1}, 7578, 779),
-    "offset": ({"components": 1, "offset": True}, 8474, 1036),
-    "bank": ({}, 7578, 7725),
+    "wide": ({"components": 1}, 10354, 799),
+    "offset": ({"components": 1, "offset": True}, 11296, 1034),
+    "bank": ({}, 10354, 1984),
 }
 POINTS = (11, 21, 51)  # of the tables over SOC
 # Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten

@@ -500,7 +500,9 @@ def weigh_block(m: Model, x: State, b: Bank, p: Point, slopes: Slopes) -> None:
         taken = explained_V2 * used.inverse
         left_V2 = explained_V2 - (taken * explained_V2)
         left_V = off_V - (taken * used.off_V)
-    x.error_V2 = (left_V * left_V) + (left_V2 + b.error_V2)
+    x.error_V2 = left_V2 + b.error_V2
+    b.left_V = b.left_V + (x.weight * left_V)
+    b.left_V2 = b.left_V2 + (x.weight * (left_V * left_V))
     hold_within(x)
 
 
@@ -551,6 +553,8 @@ def end_block(m: Model, b: Bank, of: States, count: int) -> None:
     b.mean_off_V = 0.0
     b.square_V2 = 0.0
     b.own_V2 = 0.0
+    b.left_V = 0.0
+    b.left_V2 = 0.0
     b.turn = next_turn(of, count, U(1))
     begin_block(b, of[0])
 
@@ -570,12 +574,13 @@ def carry_estimate(m: Model, b: Bank, x: State, place: Place, before_V: float) -
 
 
 @part
-def expect_together(of: States, count: int) -> None:
-    """Variance of the next innovation: of all of them by their weights, about what was measured."""
-    of[0].error_V2 = 0.0
+def expect_together(b: Bank, of: States, count: int) -> None:
+    """Variance of the next innovation: that of each by its weight, and how far they lie apart."""
+    own_V2 = 0.0
     for k in range(count):
         if of[k + 1].cost < GIVEN_UP:
-            of[0].error_V2 = of[0].error_V2 + (of[k + 1].weight * of[k + 1].error_V2)
+            own_V2 = own_V2 + (of[k + 1].weight * of[k + 1].error_V2)
+    of[0].error_V2 = mixture_variance(own_V2, b.left_V, b.left_V2)
 
 
 @part
@@ -593,17 +598,26 @@ def use_block(m: Model, b: Bank, of: States, count: int, place: Place) -> None:
         before_V = voltage_at(of[0], p, p.r0_ohm * b.block_A)
         note_movement(m, b, of[0], p)
         weigh_components(of, count, likeliest_of(b, of, count))
-        expect_together(of, count)
+        expect_together(b, of, count)
         gather(b, of, count)
         note_estimate(b, of[0])
         carry_estimate(m, b, of[0], place, before_V)
 
 
 @part
+def follow_at_once(m: Model) -> bool:
+    """Whether every component follows in the sample that ends a block: where each one does."""
+    at_once = m.constant.block_steps <= 1.0
+    if AT_ONCE:
+        at_once = True
+    return at_once  # type: ignore[no-any-return]
+
+
+@part
 def take_turns(m: Model, b: Bank, of: States, count: int) -> None:
     """The components over the block that has ended: one with every sample, or all at once."""
     place = place_now(m, of[0])
-    if AT_ONCE:
+    if follow_at_once(m):
         while b.turn <= count:
             step_component(m, b, of[U(b.turn)], place)
             b.turn = next_turn(of, count, U(b.turn + 1))
@@ -654,7 +668,7 @@ def step_spread(
             take_turns(m, b, of, count)
         elif is_over(m, b, of[0]):
             end_block(m, b, of, count)
-            if AT_ONCE:
+            if follow_at_once(m):
                 take_turns(m, b, of, count)
         if uses_voltage(of[0], out):
             square = out.innovation_V * out.innovation_V

@@ -45,7 +45,7 @@ BANK_FIELDS = (
     *(f"gain{s.letter}" for s in BRANCHES),
     *(f"current{s.letter}" for s in BRANCHES),
     *("square_A2", "keep_h", "rise_h", "said_V", "said_A", "error_V2", "weight_V2", "below"),
-    *("share", "lately", "mean_off_V", "square_V2", "own_V2"),
+    *("share", "lately", "mean_off_V", "square_V2", "own_V2", "left_V", "left_V2"),
     *("voltage_V", "innovation_V", "innovation_variance_V2"),
 )
 BANK = np.dtype([(name, np.float64) for name in BANK_FIELDS])

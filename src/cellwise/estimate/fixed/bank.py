@@ -61,6 +61,8 @@ def is_past_block_sound(b: Bank) -> bool:
         good = False
     if not size_within(b.mean_off_V, LARGE) or not not_negative(b.square_V2, LARGE):
         good = False
+    if not size_within(b.left_V, LARGE) or not not_negative(b.left_V2, LARGE):
+        good = False
     if not not_negative(b.own_V2, LARGE):
         good = False
     return good

@@ -315,7 +315,9 @@ RECORDS = {
         Field("lately", "its weight in the running mismatch"),
         Field("mean_off_V", "off what components have expected, their mean,"),
         Field("square_V2", "mean square,"),
-        Field("own_V2", "and variance"),
+        Field("own_V2", "and variance;"),
+        Field("left_V", "the same after it, their mean,"),
+        Field("left_V2", "mean square"),
         Field("sequence", "of the last sample", "", "u4"),
     ),
     "Sample": (
