@@ -185,41 +185,6 @@ static float taken(const cellwise_constants *c, const cellwise_state *x, float c
     return used;
 }
 
-/* Samples are missing: branches may hold what both currents left, and relax towards their mean. Returns the variance
- * of SOC that the voltage is asked for: unseen, or beyond the tangent. */
-static float cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, uint32_t missing,
-                       float current, float bridge)
-{
-    const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
-    const float steps = (float)missing;
-    float spread = c->gap_variance;
-    const float moved = c->soc_per_A * steps;
-    if (missing <= c->gap_steps) {
-        spread = (moved * moved) * unknown_A2;
-    } else {
-        spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
-    }
-    float unseen = 0.0f;
-    const bool asks = (missing > c->gap_steps) && (x->evidence >= FIRST_VOLTAGE);
-    if (!asks || (x->in_bank == COMPONENT)) {
-        x->ss = x->ss + spread;
-    } else {
-        unseen = spread;
-        if (x->ss > WIDE_VARIANCE) {
-            unseen = unseen + (x->ss - WIDE_VARIANCE);
-            x->ss = WIDE_VARIANCE;
-            forget_correlations(x);
-        }
-    }
-    const float gain1 = risen(steps * p->gain1);
-    const float gain2 = risen(steps * p->gain2);
-    const float gain3 = risen(steps * p->gain3);
-    relax(x, p, gain1, gain2, gain3, bridge, bridge, bridge, unknown_A2);
-    forget_hysteresis(x);
-    x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
-    return unseen;
-}
-
 /* One interval of constant current. */
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                     const cellwise_slopes *slopes, float counted_current_A, float unmeasured_A2)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.covariance import Point, forget_correlations, relax
 from cellwise.estimate.equations.evidence import stated_variance
-from cellwise.estimate.equations.sensors import drifted_variance, is_dead
+from cellwise.estimate.equations.sensors import drifted_variance, is_dead, unseen_variance
 from cellwise.estimate.fixed.arithmetic import *
+from cellwise.estimate.fixed.covariance import forget_hysteresis
 from cellwise.estimate.fixed.lookup import within_one
 from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
@@ -147,6 +151,48 @@ def count_charge(c: Constants, x: State, reading: Reading) -> Charge:
             else:
                 x.ss = x.ss + c.lost_walk
     return Charge(status, missing, bridge)
+
+
+@unrolled_by_option
+def cross_gap(
+    c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
+) -> float:
+    """Samples are missing: the branches may hold what the currents on both sides can have left.
+
+    With CELLWISE_WIDE they relax towards the mean of these currents, too. Returns the variance of
+    SOC that the voltage is asked for: of what has flowed unseen, and beyond the tangent's reach.
+    """
+    unknown_A2 = (current * current) + (x.current_A * x.current_A)
+    steps = F(missing)
+    spread = c.gap_variance
+    moved = c.soc_per_A * steps
+    if missing <= c.gap_steps:
+        spread = (moved * moved) * unknown_A2
+    elif WIDE:
+        spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
+    unseen = 0.0
+    asks = WIDE and missing > c.gap_steps and x.evidence >= FIRST_VOLTAGE
+    if not asks or (BANK and x.in_bank == COMPONENT):
+        x.ss = x.ss + spread
+    else:
+        unseen = spread
+        if x.ss > WIDE_VARIANCE:
+            unseen = unseen + (x.ss - WIDE_VARIANCE)
+            x.ss = WIDE_VARIANCE
+            forget_correlations(x)
+    if WIDE:
+        gain: dict[Any, float] = {}
+        for i in BRANCHES:
+            gain[i] = risen(steps * p.gain[i]) if THERE else 0.0
+        relax(x, p, *(gain[i] for i in BRANCHES), *(bridge for i in BRANCHES), unknown_A2)  # type: ignore[call-arg]
+    else:
+        for i in BRANCHES:
+            x.p[i, i] = x.p[i, i] + (unknown_A2 * (p.r[i] * p.r[i]))
+    if HYSTERESIS:
+        forget_hysteresis(x)
+    if HEATING:
+        x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
+    return F(unseen)
 
 
 def follow(c: Constants, x: State, reading: Reading, charge: Charge) -> None:

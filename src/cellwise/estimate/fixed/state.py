@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from cellwise.cell.description import BRANCHES, CARRIED, H
-from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.equations.covariance import (
     Point,
     Slopes,
@@ -16,12 +14,10 @@ from cellwise.estimate.equations.covariance import (
     tilt,
 )
 from cellwise.estimate.equations.evidence import share_of, unknown_square
-from cellwise.estimate.equations.sensors import unseen_variance
 from cellwise.estimate.equations.start import guess_branches, held_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     covariance_is_sound,
-    forget_hysteresis,
     start_covariance,
 )
 from cellwise.estimate.fixed.layout import Model
@@ -233,47 +229,6 @@ def taken(c: Constants, x: State, current: float) -> float:
     if HEALTH:
         used = used * x.per_capacity
     return F(used)
-
-
-@unrolled_by_option
-def cross_gap(
-    c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
-) -> float:
-    """Samples are missing: branches may hold what both currents left, and relax towards their mean.
-
-    Returns the variance of SOC that the voltage is asked for: unseen, or beyond the tangent.
-    """
-    unknown_A2 = (current * current) + (x.current_A * x.current_A)
-    steps = F(missing)
-    spread = c.gap_variance
-    moved = c.soc_per_A * steps
-    if missing <= c.gap_steps:
-        spread = (moved * moved) * unknown_A2
-    elif WIDE:
-        spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
-    unseen = 0.0
-    asks = WIDE and missing > c.gap_steps and x.evidence >= FIRST_VOLTAGE
-    if not asks or (BANK and x.in_bank == COMPONENT):
-        x.ss = x.ss + spread
-    else:
-        unseen = spread
-        if x.ss > WIDE_VARIANCE:
-            unseen = unseen + (x.ss - WIDE_VARIANCE)
-            x.ss = WIDE_VARIANCE
-            forget_correlations(x)
-    if WIDE:
-        gain: dict[Any, float] = {}
-        for i in BRANCHES:
-            gain[i] = risen(steps * p.gain[i]) if THERE else 0.0
-        relax(x, p, *(gain[i] for i in BRANCHES), *(bridge for i in BRANCHES), unknown_A2)  # type: ignore[call-arg]
-    else:
-        for i in BRANCHES:
-            x.p[i, i] = x.p[i, i] + (unknown_A2 * (p.r[i] * p.r[i]))
-    if HYSTERESIS:
-        forget_hysteresis(x)
-    if HEATING:
-        x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
-    return F(unseen)
 
 
 @unrolled_by_option

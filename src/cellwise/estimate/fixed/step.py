@@ -38,9 +38,15 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
-from cellwise.estimate.fixed.state import (
+from cellwise.estimate.fixed.sensing import (
+    Reading,
+    count_charge,
     cross_gap,
+    finish,
+    follow,
+    see,
+)
+from cellwise.estimate.fixed.state import (
     forget_offset,
     heat,
     is_sound,
