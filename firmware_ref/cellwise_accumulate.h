@@ -97,7 +97,7 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
                          float jump_A, float mean_A, cellwise_simulated *simulated)
 {
     const cellwise_constants *const c = &m->constant;
-    k->soc = clip(k->soc - (c->sketch_steps * taken(c, x, mean_A)), -1.0f, 2.0f);
+    k->soc = k->soc - (c->sketch_steps * taken(c, x, mean_A));
     cellwise_place place;
     place_now(m, x, &place);
     cellwise_point p;

@@ -110,7 +110,7 @@ def simulate_row(
 ) -> Simulated:
     """The voltage now: slow states over the row's mean current, the fast one has followed."""
     c = m.constant
-    k.soc = clip(k.soc - (c.sketch_steps * taken(c, x, mean_A)), -1.0, 2.0)
+    k.soc = k.soc - (c.sketch_steps * taken(c, x, mean_A))
     place = place_now(m, x)
     p = look_up(m, place, k.soc, current)
     change_V = (p.r0_ohm * jump_A) + (k.fast_gain * ((k.fast_ohm * current) - k.state[V1]))
