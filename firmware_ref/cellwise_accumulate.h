@@ -65,7 +65,7 @@ static void anchor(const cellwise_constants *c, const cellwise_state *x, cellwis
 }
 
 /* A cell at rest. What the filter guesses of its branches under load is no evidence. */
-static void begin_segment(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k)
+static NOINLINE void begin_segment(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k)
 {
     anchor(&m->constant, x, k);
     cellwise_place place;
@@ -86,10 +86,10 @@ static void begin_segment(const cellwise_model *m, const cellwise_state *x, cell
 }
 
 /* A hysteresis after a row's mean current. */
-static float follow_path(const cellwise_constants *c, float h, float current, float per_A)
+static float follow_path(float h, float current, float per_A)
 {
     const float end = (current < 0.0f) ? 1.0f : -1.0f;
-    return h + (risen((per_A * magnitude(current)) * c->sketch_steps) * (end - h));
+    return h + (risen(per_A * magnitude(current)) * (end - h));
 }
 
 /* The voltage now: slow states over the row's mean current, the fast one has followed. */
@@ -97,7 +97,7 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
                          float jump_A, float mean_A, cellwise_simulated *simulated)
 {
     const cellwise_constants *const c = &m->constant;
-    k->soc = clip(k->soc - (c->sketch_steps * taken(c, x, mean_A)), -1.0f, 2.0f);
+    k->soc = k->soc - (c->sketch_steps * taken(c, x, mean_A));
     cellwise_place place;
     place_now(m, x, &place);
     cellwise_point p;
@@ -116,7 +116,7 @@ static void simulate_row(const cellwise_model *m, const cellwise_state *x, cellw
     simulated->drop_V = simulated->drop_V + k->v3_V;
     simulated->drop_per_A = simulated->drop_per_A + p.r3_ohm;
     simulated->voltage_V = p.ocv_V - simulated->drop_V;
-    k->h = follow_path(c, k->h, mean_A, c->hysteresis_per_A);
+    k->h = follow_path(k->h, mean_A, c->sketch_steps * c->hysteresis_per_A);
     simulated->voltage_V = simulated->voltage_V + (p.m_V * k->h);
     const float stated_V2 = p.noise_V2 - c->fixed_V2;
     const float square_V2 = simulated->drop_V * simulated->drop_V;
@@ -133,8 +133,8 @@ static void derive(const cellwise_constants *c, cellwise_sketch *k, const cellwi
                    float mean_A)
 {
     k->slow_A = mean_A + (c->sketch_branch * (k->slow_A - mean_A));
-    k->path = follow_path(c, k->path, mean_A, c->sketch_path);
-    k->now[1u] = r->drop_per_A + (r->slope_V * (((float)k->blocks * c->sketch_steps) * c->soc_per_A));
+    k->path = follow_path(k->path, mean_A, c->sketch_path);
+    k->now[1u] = r->drop_per_A + (r->slope_V * ((float)k->blocks * c->sketch_soc));
     k->now[2u] = r->change_V * c->sketch_per_s;
     k->now[3u] = -k->slow_A;
     k->now[4u] = k->path;
@@ -210,7 +210,7 @@ static NOINLINE void end_row(const cellwise_model *m, const cellwise_state *x, c
     if (shown && (k->soc > c->sketch_low)) {
         k->now[0u] = sample->voltage_V - r.voltage_V;
         sum_up(k, whiten(c, k, &r));
-        const bool warm = WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C);
+        const bool warm = SIZE_WITHIN(sample->temperature_C, HOTTEST_C);
         k->degrees = k->degrees + (warm ? sample->temperature_C : USUAL_DEGREES);
     }
     k->count = 0u;

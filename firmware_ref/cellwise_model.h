@@ -92,12 +92,13 @@ typedef struct {
     uint32_t sketch_rows; /* steps from row to row of the sketch */
     float sketch_steps; /* the same */
     float sketch_share; /* one over that */
+    float sketch_soc; /* SOC that 1 A takes in a row */
     uint32_t sketch_most; /* rows of a simulation */
     float sketch_per_s; /* one over a time step */
     float sketch_fade; /* of the sums, in a row */
     float sketch_keep; /* of the model's slow error, from row to row */
     float sketch_branch; /* and of a current that a slow branch has followed */
-    float sketch_path; /* e-folds of a hysteresis in one step at 1 A */
+    float sketch_path; /* e-folds of a hysteresis in a row at 1 A */
     float sketch_V2; /* of a row's voltage, by what is not slow */
     float sketch_fast; /* of the stated error's square, what is not slow, */
     float sketch_slow; /* and what is */

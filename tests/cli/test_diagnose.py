@@ -12,7 +12,11 @@ from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
+from cellwise.data import load_dataset
 from cellwise.diagnose.causes.catalogue import CAUSES
+from cellwise.diagnose.sketch_pictures import pictures_in
+from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.sketch.sketcher import Sketcher
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
 from cellwise.report.diagnosis.statements import probability
@@ -235,3 +239,19 @@ def test_what_only_repeats_its_prior_comes_last(real_data, run_json, capsys, tmp
     for name in cause["parameters"]:
         assert (f"{name} " in first) != (name in folded), name
         assert (f"{name} " in last) == (name in folded), name
+
+
+def test_identify_keeps_how_causes_look_in_sketches(tmp_path, capsys, run_json):
+    """A model without it is refused, by the name of the command that makes one with it."""
+    path, block = tmp_path / "cell.json", tmp_path / "kept.bin"
+    asked = ["--drive", "nmc_drive_a", "--prior", "nmc-18650", "--nominal-ah", "5", "--sketch"]
+    run_json("identify", *asked, "-o", path)
+    model = read_model(path)
+    assert set(pictures_in(model)) == {6, 9}
+    sketcher = Sketcher(FixedStep(model, dt_s=1.0, sketch=256))
+    block.write_bytes(sketcher.bytes_of(sketcher.run(load_dataset("nmc_drive_b"), 0.9)))
+    found = run_json("diagnose", "--model", path, "--sketch", block)
+    assert found["verdict"] == "undetermined"
+    assert "earlier sketch" in found["reasons"][0]
+    assert main(["diagnose", "--model", "nmc-18650", "--sketch", str(block)]) == 2
+    assert "cellwise identify --sketch" in capsys.readouterr().err

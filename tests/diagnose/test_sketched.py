@@ -158,7 +158,7 @@ def test_sketches_of_other_tables_and_models_without_pictures_are_refused(bench)
     past = read_sums(bench.kept(1024, PAST))
     with pytest.raises(InputError, match="other tables"):
         diagnose_sketch(bench.model, past, [past._replace(model_crc=1)])
-    with pytest.raises(InputError, match="identify --sketch"):
+    with pytest.raises(InputError, match="make_pictures"):
         diagnose_sketch(stock_model(STOCK), past, [past])
     changed = replace(bench.model, capacity_Ah=2.5)
     with pytest.raises(InputError, match="not changed since"):

@@ -35,6 +35,7 @@ from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.diagnose.sketch_pictures import pictures_in
 from cellwise.diagnose.sketched import SketchCause
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
@@ -97,10 +98,18 @@ def run_sketches(arguments: argparse.Namespace) -> None:
     """Diagnose what a target kept, and print it."""
     said = vars(arguments)
     others = [n for n in ("logs", "holdout", "baseline", "output", "report", "cause") if said[n]]
-    if others or not arguments.sketch:
-        what = f"--sketch with {' and '.join(others)}" if arguments.sketch else "no log"
+    if not arguments.sketch:
+        typed = f"cellwise diagnose nmc_drive_a --model {arguments.model}"
+        raise InputError("no LOG", "what is to be explained, or --sketch", f"Add it: {typed}.")
+    if others:
+        what = f"--sketch with {' and '.join(others)}"
         raise InputError(what, "logs, or --sketch FILE alone", "Give one or the other.")
     model = options.read_model(arguments)
+    try:
+        pictures_in(model)
+    except InputError as error:
+        run = "Identify it by cellwise identify --sketch ... -o MODEL."
+        raise InputError(error.found, error.expected, run) from None
     files = diagnose_sketch_files(model, arguments.sketch)
     if arguments.json:
         printing.print_json(files.to_dict())

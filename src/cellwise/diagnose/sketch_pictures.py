@@ -103,6 +103,11 @@ def _followed(log: CellLog, tau_s: FloatArray, end: FloatArray) -> FloatArray:
     return found
 
 
+def _mark(model: CellModel) -> str:
+    """Of what a sketch is made with; a posterior is rounded where it is written."""
+    return model_mark(replace(model, posterior=None))
+
+
 def make_pictures(model: CellModel, logs: Iterable[CellLog]) -> CellModel:
     """The model with how causes look in sketches of its own logs, whose ``soc0`` is stated.
 
@@ -112,8 +117,8 @@ def make_pictures(model: CellModel, logs: Iterable[CellLog]) -> CellModel:
     """
     own = [means_of(log, PERIOD_S) for log in logs]
     if not own:
-        raise InputError("no drive to make pictures of", "own logs under load", "Give --drive LOG.")
-    block: dict[str, Any] = {"version": MAGIC, "mark": model_mark(model)}
+        raise InputError("no drive to make pictures of", "own logs under load", "Give drives.")
+    block: dict[str, Any] = {"version": MAGIC, "mark": _mark(model)}
     for most in (SMALL_BYTES, WHOLE_BYTES):
         sketcher = Sketcher(FixedStep(model, dt_s=PERIOD_S, sketch=most))
         of = partial(_parameters, model, sketcher)
@@ -152,11 +157,11 @@ def pictures_in(model: CellModel) -> dict[int, Pictures]:
     """
     block = model.provenance.get(BLOCK)
     fits = isinstance(block, Mapping) and block.get("version") == MAGIC
-    if not isinstance(block, Mapping) or not fits or block.get("mark") != model_mark(model):
+    if not isinstance(block, Mapping) or not fits or block.get("mark") != _mark(model):
         raise InputError(
             "a model that does not know how causes look in sketches of its own logs",
             "a model identified with its sketches, and not changed since",
-            "Identify it with --sketch: cellwise identify --sketch ... -o MODEL.",
+            "Make it with `make_pictures(model, logs)`.",
         )
     return {
         int(size): Pictures(

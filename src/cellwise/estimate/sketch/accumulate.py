@@ -78,6 +78,7 @@ def anchor(c: Constants, x: State, k: Sketch) -> None:
             k.past_share[a] = 0.0
 
 
+@noinline
 @unrolled_by_option
 def begin_segment(m: Model, x: State, k: Sketch) -> None:
     """A cell at rest. What the filter guesses of its branches under load is no evidence."""
@@ -97,10 +98,10 @@ def begin_segment(m: Model, x: State, k: Sketch) -> None:
     k.count = U(0)
 
 
-def follow_path(c: Constants, h: float, current: float, per_A: float) -> float:
+def follow_path(h: float, current: float, per_A: float) -> float:
     """A hysteresis after a row's mean current."""
     end = 1.0 if current < 0.0 else -1.0
-    return F(h + (risen((per_A * magnitude(current)) * c.sketch_steps) * (end - h)))
+    return F(h + (risen(per_A * magnitude(current)) * (end - h)))
 
 
 @unrolled_by_option
@@ -109,7 +110,7 @@ def simulate_row(
 ) -> Simulated:
     """The voltage now: slow states over the row's mean current, the fast one has followed."""
     c = m.constant
-    k.soc = clip(k.soc - (c.sketch_steps * taken(c, x, mean_A)), -1.0, 2.0)
+    k.soc = k.soc - (c.sketch_steps * taken(c, x, mean_A))
     place = place_now(m, x)
     p = look_up(m, place, k.soc, current)
     change_V = (p.r0_ohm * jump_A) + (k.fast_gain * ((k.fast_ohm * current) - k.state[V1]))
@@ -125,7 +126,7 @@ def simulate_row(
         drop_per_A = drop_per_A + p.r[i]
     voltage_V = p.ocv_V - drop_V
     if HYSTERESIS:
-        k.h = follow_path(c, k.h, mean_A, c.hysteresis_per_A)
+        k.h = follow_path(k.h, mean_A, c.sketch_steps * c.hysteresis_per_A)
         voltage_V = voltage_V + (p.m_V * k.h)
     stated_V2 = p.noise_V2 - c.fixed_V2
     square_V2 = drop_V * drop_V
@@ -144,8 +145,8 @@ def simulate_row(
 def derive(c: Constants, k: Sketch, r: Simulated, current: float, mean_A: float) -> None:
     """Derivatives of the voltage by every cause, in the order of `cellwise.diagnose.sketched`."""
     k.slow_A = mean_A + (c.sketch_branch * (k.slow_A - mean_A))
-    k.path = follow_path(c, k.path, mean_A, c.sketch_path)
-    k.now[1] = r.drop_per_A + (r.slope_V * ((F(k.blocks) * c.sketch_steps) * c.soc_per_A))
+    k.path = follow_path(k.path, mean_A, c.sketch_path)
+    k.now[1] = r.drop_per_A + (r.slope_V * (F(k.blocks) * c.sketch_soc))
     k.now[2] = r.change_V * c.sketch_per_s
     k.now[3] = -k.slow_A
     k.now[4] = k.path
@@ -220,7 +221,7 @@ def end_row(m: Model, x: State, k: Sketch, sample: Sample, current: float, jump_
     if shown and k.soc > c.sketch_low:
         k.now[0] = sample.voltage_V - r.voltage_V
         sum_up(k, whiten(c, k, r))
-        warm = within(sample.temperature_C, COLDEST_C, HOTTEST_C)
+        warm = size_within(sample.temperature_C, HOTTEST_C)
         k.degrees = k.degrees + (sample.temperature_C if warm else USUAL_DEGREES)
     k.count = U(0)
     k.sum_A = 0.0
