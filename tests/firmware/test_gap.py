@@ -81,4 +81,4 @@ def test_what_has_flowed_in_a_gap_is_found_where_the_voltage_shows_it(name):
     """Six points within five minutes; on an LFP's plateau no voltage shows them."""
     soc, _, true_soc = over_a_gap(name, 0.0, 0.06)
     assert soc[ROWS - 1] - true_soc > 0.05
-    assert abs(soc[-1] - true_soc) < 0.01
+    assert abs(soc[-1] - true_soc) < 0.015
