@@ -187,7 +187,7 @@ MOST_WORDS = 30_000  # what one person reads in a few hours
 
 def test_the_docs_stay_short():
     """A word has a letter or a digit: of a table's rules and an equation's signs nobody reads."""
-    words = {p.name: re.findall(r"\S*\w\S*", p.read_text("utf-8")) for p in DOCS.rglob("*.md")}
+    words = {p: re.findall(r"\S*\w\S*", p.read_text("utf-8")) for p in DOCS.rglob("*.md")}
     assert sum(len(found) for found in words.values()) <= MOST_WORDS
 
 
