@@ -243,7 +243,7 @@ def taken(block: bytes, tables: FixedStepTables) -> NDArray[Any]:
     head = np.frombuffer(block[:8].ljust(8, b"\0"), dtype="<u4")
     if head[0] != MAGIC:
         raise _refused(
-            f"{len(block)} bytes that are no patch", "what a diagnosis writes as a patch"
+            f"{len(block)} bytes that are no patch", "what a diagnosis writes"
         )
     if head[1] != LAYOUT:
         raise _refused(f"a patch of version {head[1]}", f"version {LAYOUT}")
