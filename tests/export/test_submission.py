@@ -49,7 +49,8 @@ def drive(model, soc0, hours, rate=0.5, dt_s=DT_S):
 def measured(log, rng=None):
     """Rows as a bench hands them: charge positive, volt, degC."""
     noise = 0.0 if rng is None else 0.001 * rng.standard_normal(len(log))
-    return np.column_stack([-log.current_A, log.voltage_V + noise, log.temperature_C])
+    warm = np.full(len(log), 25.0) if log.temperature_C is None else log.temperature_C
+    return np.column_stack([-log.current_A, log.voltage_V + noise, warm])
 
 
 @needs_compiler
