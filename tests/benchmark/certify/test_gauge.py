@@ -178,7 +178,7 @@ def planted(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def split_on_another_cell(tmp_path_factory):
-    """Points of each cause, and the error, of a gauge with a line, on a cell of no other test."""
+    """Points of each cause, and the error, of a gauge with a line, on another cell."""
 
     def split(line):
         found, error, _ = split_of(tmp_path_factory.mktemp("gauge"), "ekf1", line, 1)
