@@ -15,7 +15,7 @@ from cellwise.logs.cell_log import CellLog
 PADDED_S = 120.0  # for so long a voltage stands before it is looked at
 SHOWN_V = 0.01  # a current is asked once its ohmic drop is more than any gauge's last digit
 ANSWER = 0.3  # of the least drop: less is no answer
-LOADED_ROWS = 5.0  # behind a step without an answer, that say what they answer
+LOADED_ROWS = 3.0  # behind a step without an answer, that say what they answer
 
 
 class StillRows(NamedTuple):
