@@ -17,10 +17,12 @@ from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import Asked
-from cellwise.export.firmware import Firmware
+from cellwise.estimate.replay import replay
 from cellwise.export.matlab import Translation
 from cellwise.export.package import Export
 from cellwise.export.submission import matlab_text, submission_text, write
+from cellwise.logs.cell_log import resample
+from cellwise.logs.reading import read_log
 
 DT_S = 10.0
 needs_compiler = pytest.mark.skipif(
@@ -47,28 +49,42 @@ def drive(model, soc0, hours, rate=0.5, dt_s=DT_S):
 def measured(log, rng=None):
     """Rows as a bench hands them: charge positive, volt, degC."""
     noise = 0.0 if rng is None else 0.001 * rng.standard_normal(len(log))
-    return np.column_stack([-log.current_A, log.voltage_V + noise, log.temperature_C])
+    warm = np.full(len(log), 25.0) if log.temperature_C is None else log.temperature_C
+    return np.column_stack([-log.current_A, log.voltage_V + noise, warm])
 
 
 @needs_compiler
-@pytest.mark.parametrize(
-    ("name", "rows"),
-    [
-        ("nmc-18650", 60),
-        *(
-            pytest.param(name, 600, marks=pytest.mark.slow)
-            for name in ("nca-18650", "lmo-pouch", "lfp-26650", "lipo-pouch", "nmc-18650")
-        ),
-    ],
-)
-def test_it_says_what_replay_says(name, rows):
-    export = Export(stock_model(name), DT_S)
-    log = drive(export.model, 0.8, rows * DT_S / 3600.0)
-    firmware = Firmware(export.seen.model, export.seen.noise, dt_s=DT_S)
-    trace = firmware.run(log, 0.5, 0.3)
-    soc, _ = submitted(export)["Model"](measured(log), None)
-    np.testing.assert_allclose(soc, trace.soc, atol=1e-6)
-    assert len(samples_of(export.model, log, DT_S).records) == rows
+def test_it_says_what_replay_says():
+    export = Export(stock_model("nmc-18650"), DT_S)
+    log = drive(export.model, 0.8, 60 * DT_S / 3600.0)
+    is_as_replayed(export, log)
+    assert len(samples_of(export.model, log, DT_S).records) == 60
+
+
+def is_as_replayed(export, log):
+    """From a start that nobody knows."""
+    trace = replay(export.model, log, "firmware", 0.5, soc0_std=0.3).trace
+    soc, _ = submitted(export)["Model"](measured(log))
+    np.testing.assert_allclose(soc, trace.soc, rtol=0.0, atol=1e-6)
+
+
+TEN_LOGS = {
+    "panasonic_18650pf/drive_p25_us06": "nca-18650", "plett_a123/dyn_p25_s1": "lfp-26650",
+    "panasonic_18650pf/drive_n20_la92": "nca-18650", "plett_a123/dyn_n15_s2": "lfp-26650",
+    "lg_18650hg2/drive_mixed4_p40_562": "nmc-18650", "lipo_5450/c1_cycle01": "lipo-pouch",
+    "lg_18650hg2/drive_us06_n20_610": "nmc-18650", "lipo_5450/c3_cycle48": "lipo-pouch",
+    "nissan_leaf/cap_2c_p23": "lmo-pouch", "nissan_leaf/hppc_p25": "lmo-pouch",
+}  # fmt: skip
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("path", TEN_LOGS)
+def test_of_ten_measured_logs_it_says_what_replay_says(real_data, path):
+    """From end to end."""
+    export = Export(stock_model(TEN_LOGS[path]), DT_S)
+    log = read_log(real_data / f"{path}.csv.gz", check_sign=False)
+    is_as_replayed(export, resample(log, DT_S))
 
 
 def by_octave(export, rows, folder):

@@ -90,6 +90,7 @@ from cellwise.benchmark.certify.certificate import (
     advice,
     certificate_page,
     groups_of,
+    split_causes,
 )
 from cellwise.benchmark.certify.designs import Design
 from cellwise.benchmark.certify.gauge import gauge_header
@@ -381,8 +382,9 @@ def print_certificate(found: Certificate, data: dict[str, Any], folder: str | No
     for name, own in groups_of(data).items():
         printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
     if "causes" in data:
-        columns = (*CAUSE_COLUMNS, CORRECTION)
-        printing.record_table("its own causes", data["causes"], *columns)
+        numbers, left = split_causes(data["causes"])
+        printing.record_table("its own numbers", numbers, *CAUSE_COLUMNS, CORRECTION)
+        printing.record_table("what no number corrects", left, *CAUSE_COLUMNS)
         printing.record_table("the fleet's causes", data["fleet_causes"], *CAUSE_COLUMNS)
         printing.say(advice(data))
         for failure in data["failures"][:SHOWN]:

@@ -32,7 +32,7 @@ from cellwise.printing.firmware import sources
 SUFFIXES = (".py", ".m")
 TEMPLATE, MATLAB_TEMPLATE = "submission/model.py.in", "submission/Model.m.in"
 BEGIN, STEP = "start_bank", "step_bank"
-STILL = "still_rows_step"
+STILL = ("explained_V2", "still_rows", "still_rows_step")
 BY_HAND = ("magnitude",)  # of the template: of Python's it would be a float64
 
 
@@ -132,7 +132,7 @@ def _rule() -> tuple[dict[str, ast.stmt], dict[str, Any]]:
     for node in ast.parse(inspect.getsource(padding)).body:
         if isinstance(node, ast.ClassDef):
             nodes[node.name] = node
-        elif isinstance(node, ast.FunctionDef) and node.name == STILL:
+        elif isinstance(node, ast.FunctionDef) and node.name in STILL:
             nodes[node.name] = _bare(node)
     return nodes, {n: v for n, v in vars(padding).items() if isinstance(v, float)}
 

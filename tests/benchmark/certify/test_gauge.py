@@ -139,7 +139,13 @@ def found_causes(tmp_path, name, cause, dt_s):
         gauge_of(tmp_path, name, PLANTED[cause], dt_s), sensor=None, seed=1
     )
     assert left <= error
-    return found
+    return found, error
+
+
+def split_of(folder, name, line, seed, cell="lmo-pouch"):
+    """Causes and errors of a gauge on a cell that took no part in what was planted."""
+    gauge = replace(gauge_of(folder, name, line), model=stock_model(cell))
+    return causes.own_causes(gauge, sensor=None, seed=seed)
 
 
 def test_a_planted_capacity_is_found_with_its_size(tmp_path, monkeypatch):
@@ -172,12 +178,10 @@ def planted(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def split_on_another_cell(tmp_path_factory):
-    """Points of each cause, and the error, of a gauge with a line, on a cell of no other test."""
+    """Points of each cause, and the error, of a gauge with a line, on another cell."""
 
     def split(line):
-        gauge = gauge_of(tmp_path_factory.mktemp("gauge"), "ekf1", line, 20.0)
-        gauge = replace(gauge, model=stock_model("lmo-pouch"))
-        found, error, _ = causes.own_causes(gauge, sensor=None, seed=1)
+        found, error, _ = split_of(tmp_path_factory.mktemp("gauge"), "ekf1", line, 1)
         return {one.name: one.points for one in found}, error
 
     healthy = split("")
@@ -193,19 +197,32 @@ def test_a_fault_raises_its_cause_by_what_it_adds_to_the_error(split_on_another_
 
 
 @pytest.mark.slow
-def test_a_planted_cause_is_the_first_of_the_gauges_numbers(planted):
-    for (_, cause), found in planted.items():
-        assert next(one.name for one in found if one.unit) == cause
+def test_nine_of_ten_planted_causes_are_named_first_to_correct(planted):
+    """Beside it stands what remains: age, restarts, tuning cost these gauges without a fault."""
+    named = [causes.to_correct(*found) == cause for (_, cause), found in planted.items()]
+    assert sum(named) >= 9
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="7 of 10: three faults add less (R too small 0.22 points in both gauges, the table 0.17 "
-    "in the autopilot's) than tuning (0.42) and age (1.00, 0.82) cost these gauges without them",
-)
-def test_nine_of_ten_planted_causes_are_named_before_age_and_tuning(planted):
-    assert sum(found[0].name == cause for (_, cause), found in planted.items()) >= 9
+@pytest.mark.parametrize("name", ["ekf1", "autopilot"])
+def test_a_correction_brings_on_other_lives_what_is_said(tmp_path, name):
+    """Without a fault: told R0 alone they need more for the branches; then none is to correct."""
+    (found, error, _), (_, other, _) = (split_of(tmp_path, name, "", seed) for seed in (1, 2))
+    first = next(one for one in found if one.unit)
+    assert causes.to_correct(found, error) == first.name == "resistance"
+    line = f"#define RESISTANCE {1.0 + first.correction:.3f}f"
+    found, after, _ = split_of(tmp_path, name, line, 2)
+    assert other - after > 0.8 * first.points
+    assert causes.to_correct(found, after) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("cell", ["nca-18650", "lmo-pouch"])
+def test_of_a_counter_with_right_numbers_none_is_to_correct(tmp_path, cell, seed):
+    """Also where any lower voltage would keep it from a reset that comes early in the cold."""
+    found, error, _ = split_of(tmp_path, "counter", "", seed, cell)
+    assert causes.to_correct(found, error) is None
 
 
 def test_the_command_splits_the_error_and_shows_it(tmp_path, capsys, monkeypatch):
@@ -222,7 +239,9 @@ def test_the_command_splits_the_error_and_shows_it(tmp_path, capsys, monkeypatch
     assert data["failures"] == []
     assert data["settings"]["gauge"] == "ekf1"
     page = (place / "index.html").read_text()
-    assert "What would bring most" in page
+    first = "What would bring most to correct" if data["to_correct"] else "No number of its own"
+    assert first in page
+    assert "What no number of the gauge corrects" in page
     assert "the gauge ekf1" in page
 
 

@@ -13,7 +13,7 @@ from cellwise.cell.initial_soc.padding import padded_rows
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
 from cellwise.estimate.replay import replay
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, resample
 from cellwise.logs.reading import read_log
 from example_cells import curved_cell
 
@@ -119,6 +119,20 @@ def test_measured_drives_behind_an_hour_of_their_first_row(real_data):
     assert np.mean(hits) >= 0.9
     behind, rest = np.mean(errors, axis=0)
     assert behind < 0.7 * rest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cold", ["p00", "n10", "n20"])
+def test_they_are_found_in_the_cold_at_one_second_too(real_data, cold):
+    """Where the resistance is several times the least, and a row is a mean of what has been."""
+    model, hits = stock_model("nca-18650"), []
+    for path in sorted((real_data / "panasonic_18650pf").glob(f"drive_{cold}_*.csv.gz")):
+        log = resample(read_log(path, check_sign=False), 1.0)
+        loaded = np.flatnonzero(log.current_A > 0.2 * model.capacity_Ah)
+        for first in loaded[:: max(1, loaded.size // 12)]:
+            part = log.part(int(first), min(int(first) + 60, len(log)))
+            hits += [padded_rows(model, padded(part, 0, a, 200)) == 200 for a in (0.0, 0.3, -0.3)]
+    assert np.mean(hits) >= 0.8
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "adaptive"])

@@ -24,17 +24,22 @@ from cellwise.estimate.sensor import Sensor
 from cellwise.typing import FloatArray
 
 LIVES, HOURS = 8, 24.0
+MUCH = 0.1  # of the error: less is not worth a correction
 COARSE, FINE = 7, 8  # values of a correction that are tried over its range, and around the best
 PROBED, PROBE_H, FAR_SOC = 21, 24.0, 0.1  # SOC points at which the table is looked at, and how
 
 
 class GaugeCause(NamedTuple):
-    """What a cause costs in points of SOC error (RMS), and what was corrected for it."""
+    """What a cause costs in points of SOC error (RMS), and what was corrected for it.
+
+    ``is_open``: an end of the correction's range does as well, so that no value is the right one.
+    """
 
     name: str
     points: float
-    correction: float
-    unit: str
+    correction: float = 0.0
+    unit: str = ""
+    is_open: bool = False
 
     def to_dict(self) -> dict[str, object]:
         """As JSON values."""
@@ -54,7 +59,7 @@ class WorldCorrection(NamedTuple):
     corrected: Correct
 
 
-Fitted = tuple[WorldCorrection, float, float]  # its number, and the error then
+Fitted = tuple[WorldCorrection, float, float, bool]  # as of `_search`
 
 
 def own_causes(
@@ -80,19 +85,30 @@ def own_causes(
     alone = [(one, *_search(gauge, worlds, one)) for one in tried]
     right, left = _all_right(gauge, worlds, base, alone)
     found = []
-    for one, value, error in alone:
+    for one, value, error, is_open in alone:
         others = [other for other in right if other[0] is not one]
         back = left if len(others) == len(right) else score(gauge, _moved(worlds, others))
-        found.append(GaugeCause(one.name, 0.5 * (base - error + back - left), value, one.unit))
+        points = 0.5 * (base - error + back - left)
+        found.append(GaugeCause(one.name, points, value, one.unit, is_open))
     # Of the squares: what remains with everything else right.
     tuning = base - math.sqrt(max(base**2 - left**2, 0.0))
     aged = score(gauge, _drawn(gauge, sensor, seed, AGED_ALIKE))
     found += [
-        GaugeCause("tuning", tuning, 0.0, ""),
-        GaugeCause("age", aged - base, 0.0, ""),
-        GaugeCause("restart", _restart_cost(gauge, worlds, seed), 0.0, ""),
+        GaugeCause("tuning", tuning),
+        GaugeCause("age", aged - base),
+        GaugeCause("restart", _restart_cost(gauge, worlds, seed)),
     ]
     return sorted(found, key=lambda c: -c.points), base, left
+
+
+def to_correct(found: Sequence[GaugeCause], error: float) -> str | None:
+    """The wrong number whose correction brings most; None: no correction brings much.
+
+    What aged cells and losses of power add, what tuning leaves: no number of a gauge corrects it.
+    What else seems wrong may be right once this one is.
+    """
+    much = (c.name for c in found if c.unit and not c.is_open and c.points > MUCH * error)
+    return next(much, None)
 
 
 def _drawn(gauge: Gauge, sensor: Sensor | None, seed: int, spread: CellSpread) -> list[World]:
@@ -116,12 +132,13 @@ def _all_right(
     """Corrections that help beside each other with their numbers, and the error with all."""
     right: list[tuple[WorldCorrection, float]] = []
     left = base
-    for one, _, error_alone in sorted(alone, key=lambda fitted: fitted[2]):
-        value, error = _search(gauge, worlds, one) if error_alone < base else (0.0, base)
-        if error < left:
-            left = error
-            right.append((one, value))
-            worlds = _moved(worlds, right[-1:])
+    for one, _, error_alone, _ in sorted(alone, key=lambda fitted: fitted[2]):
+        if error_alone < base:
+            value, error, _ = _search(gauge, worlds, one)
+            if error < left:
+                left = error
+                right.append((one, value))
+                worlds = _moved(worlds, right[-1:])
     return right, left
 
 
@@ -168,24 +185,27 @@ def corrections(gauge: Gauge, config: GaugeConfig) -> list[WorldCorrection]:
         WorldCorrection("current_sensor", "A", -0.04 * size_Ah, 0.04 * size_Ah, offset),
         WorldCorrection("voltage_sensor", "V", -0.06, 0.06, voltage),
         WorldCorrection("temperature", "", 0.0, 0.0, warm),
-        WorldCorrection("table", "of what the gauge's table is off by", 0.0, 1.0, fitting),
+        WorldCorrection("table", "of what the gauge's table is off by", 0.0, 1.25, fitting),
     ]
 
 
-def _search(gauge: Gauge, worlds: Sequence[World], one: WorldCorrection) -> tuple[float, float]:
-    """The number that a correction does most with, and the error then."""
+def _search(
+    gauge: Gauge, worlds: Sequence[World], one: WorldCorrection
+) -> tuple[float, float, bool]:
+    """The number that a correction does most with, the error then, and whether an end does too."""
 
     def error(value: float) -> float:
         return score(gauge, [one.corrected(world, value) for world in worlds])
 
     if one.low == one.high:
-        return one.low, error(one.low)
+        return one.low, error(one.low), False
     tried = np.linspace(one.low, one.high, COARSE)
     errors = [error(value) for value in tried]
     best = int(np.argmin(errors))
     around = tried[max(best - 1, 0)], tried[min(best + 1, COARSE - 1)]
     finer = minimize_scalar(error, bounds=around, method="bounded", options={"maxiter": FINE})
-    return min((errors[best], tried[best]), (float(finer.fun), float(finer.x)))[::-1]
+    least, value = min((errors[best], float(tried[best])), (float(finer.fun), float(finer.x)))
+    return value, least, min(errors[0], errors[-1]) <= least
 
 
 def _table(gauge: Gauge, config: GaugeConfig) -> Callable[[FloatArray], FloatArray]:

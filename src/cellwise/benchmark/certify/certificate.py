@@ -323,8 +323,11 @@ PATCHED = (
 OWN = (
     "On cells that are the model's, with a true start and, unless they are stated, perfect "
     "sensors: what each cause adds to the error, of which the first hour weighs as much as all "
-    "that follows, and by how much the world had to be moved to make it right for the gauge. Age "
-    "is what aged cells add, restart what losses of power do; tuning what remains of the squares."
+    "that follows, and by how much the world had to be moved to make it right for the gauge."
+)
+NO_NUMBER = (
+    "What no number of the gauge corrects: age is what aged cells add, restart what losses of "
+    "power do, temperature what its tables have not, tuning what remains of the squares."
 )
 OF_FLEET = "On the certificate's fleet: how much smaller the error is with each cause made perfect."
 CAUSE_COLUMNS = (
@@ -333,7 +336,7 @@ CAUSE_COLUMNS = (
 )
 CORRECTION = (
     "right for the gauge",
-    lambda c: f"{c['correction']:+.3g} {c['unit']}" if c["unit"] else "-",
+    lambda c: "none found" if c["is_open"] else f"{c['correction']:+.3g} {c['unit']}",
 )
 
 
@@ -341,6 +344,7 @@ def cause_blocks(data: Mapping[str, Any]) -> Blocks:
     """A gauge's error by causes; nothing of an export."""
     if "causes" not in data:
         return ()
+    numbers, left = split_causes(data["causes"])
     rest = (
         f"Its own error is {percent(data['own_error'])}, {percent(data['tuning'])} with all its "
         "numbers made right at once: tuning, and what its model has not."
@@ -348,23 +352,35 @@ def cause_blocks(data: Mapping[str, Any]) -> Blocks:
     failed = [f"{f['name']} ({f['fault']}): {f['problem']}" for f in data["failures"][:SHOWN]]
     return (
         paragraph(advice(data)),
-        record_table(data["causes"], *CAUSE_COLUMNS, CORRECTION, caption=OWN),
+        record_table(numbers, *CAUSE_COLUMNS, CORRECTION, caption=OWN),
+        record_table(left, *CAUSE_COLUMNS, caption=NO_NUMBER),
         paragraph(rest),
         record_table(data["fleet_causes"], *CAUSE_COLUMNS, caption=OF_FLEET),
         *([bullets(failed)] if failed else []),
     )
 
 
+def split_causes(causes: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """Causes that a number of the gauge's source corrects, and those that none does."""
+    return [c for c in causes if c["unit"]], [c for c in causes if not c["unit"]]
+
+
 def advice(data: Mapping[str, Any]) -> str:
-    """What would bring most: of the gauge, and of what it lives in."""
-    said = []
-    numbers = [cause for cause in data["causes"] if cause["unit"]]
-    ranked = {"itself": data["causes"], "its numbers": numbers, "its fleet": data["fleet_causes"]}
-    for whose, causes in ranked.items():
+    """What to correct first, what remains beside it, and what its fleet does most."""
+    numbers, left = split_causes(data["causes"])
+    said = [f"No number of its own, corrected, brings a tenth of its {percent(data['own_error'])}."]
+    for first in (c for c in numbers if c["name"] == data["to_correct"]):
+        brings = f"{_worth(first)} of {100.0 * data['own_error']:.2f}"
+        said = [f"What would bring most to correct: {brings} ({CORRECTION[1](first)})."]
+    others = {"What remains beside": left, "Of its fleet most": data["fleet_causes"]}
+    for what, causes in others.items():
         if causes and causes[0]["points"] > 0.0:
-            name = str(causes[0]["name"]).replace("_", " ")
-            said.append(f"of {whose}: {name}, {100.0 * causes[0]['points']:.1f} points")
-    return f"What would bring most, {'; '.join(said)}." if said else "No cause stands out."
+            said.append(f"{what}: {_worth(causes[0])}.")
+    return " ".join(said)
+
+
+def _worth(cause: Row) -> str:
+    return f"{str(cause['name']).replace('_', ' ')}, {100.0 * cause['points']:.2f} points"
 
 
 def whose(data: Mapping[str, Any]) -> str:

@@ -178,15 +178,7 @@ class PhysicsCell:
     def ocv_V(self, soc: FloatArray) -> FloatArray:
         """OCV at the temperature, on straight lines beyond its ends."""
         model = self.truth
-        at = np.clip(self.temperature_C, model.temperature_C[0], model.temperature_C[-1])
-        tables = model.ocv_V
-        grid = np.asarray(model.temperature_C)
-        row = (
-            tables[0]
-            if tables.shape[0] == 1
-            else np.array([np.interp(at, grid, tables[:, k]) for k in range(model.points)])
-        )
-        row = np.maximum.accumulate(row)
+        row = np.maximum.accumulate(model.ocv_at(self.temperature_C))
         first, last = np.diff(row)[[0, -1]] / np.diff(model.soc)[[0, -1]]
         inside = np.interp(soc, model.soc, row)
         return np.asarray(inside + first * np.minimum(soc, 0.0) + last * np.maximum(soc - 1.0, 0.0))

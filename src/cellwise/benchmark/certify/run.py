@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.certify.causes import own_causes
+from cellwise.benchmark.certify.causes import own_causes, to_correct
 from cellwise.benchmark.certify.certificate import Certificate, Limits, life_error
 from cellwise.benchmark.certify.export_restarts import run_restarted
 from cellwise.benchmark.certify.exported import Exported
@@ -277,6 +277,7 @@ def split_error(
     own, error, left = own_causes(gauge, sensor, seed)
     return {
         "causes": [cause.to_dict() for cause in own],
+        "to_correct": to_correct(own, error),
         "own_error": error,
         "tuning": left,
         "fleet_causes": fleet_causes(rows),
