@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -232,10 +233,13 @@ def test_every_target_of_a_fleet_gets_its_own_patch(bench, field, tmp_path, caps
 
 
 def test_a_patch_of_sketches_of_another_export_is_refused(bench, field, tmp_path, capsys):
-    """Made without `--health`: other tables, which could not take it."""
+    """Their tables are others: such a target would refuse the patch."""
     files = tmp_path / "good.bin", tmp_path / "later.bin"
     for file, names in zip(files, (PAST, LATER), strict=True):
-        file.write_bytes(bench.kept(1024, names))
+        block = bytearray(bench.kept(1024, names))
+        block[4:8] = b"else"  # in place of the CRC of its tables
+        block[-4:] = zlib.crc32(block[:-4]).to_bytes(4, "little")
+        file.write_bytes(block)
     code, _, err = patched(field, capsys, *files)
     assert code == 2
     assert "of other tables than the export's" in err
