@@ -4,35 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
+import zlib
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
+from cellwise.cell.equations import look_up
 from cellwise.cell.model_file import write_model
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
-from cellwise.diagnose.sketch_pictures import (
-    NAMED,
-    hidden,
-    make_pictures,
-    pictures_in,
-    usual,
-)
+from cellwise.diagnose.sketch_pictures import NAMED, pictures_in, usual
 from cellwise.diagnose.sketched import diagnose_fleet, diagnose_sketch
 from cellwise.errors import InputError
-from cellwise.estimate.sketch.sketcher import Sketcher, means_of
 from cellwise.estimate.sketch.stored import read_sums
-from cellwise.export.firmware import Firmware
-from cellwise.logs import read_log
+from cellwise.export.patch import BLOCK, RESISTANCE_KNOTS, taken
+from measured_models import LATER, LINEAGE, OWN, PAST, STOCK, SketchBench
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-STOCK, LINEAGE = "nca-18650", "panasonic"
-OWN = ("cycle_2", "cycle_3")
-PAST = ("nn", "hwfta", "cycle_4", "cycle_2")
-LATER = ("us06", "hwftb", "cycle_3")
-DAYS = 14  # a drive a day
 SIZES = (1024, 256)
 TIMES = 1.5  # the usual size of a cause
 MISSED = {
@@ -45,31 +34,9 @@ MISSED = {
 }
 
 
-class Bench:
-    """A measured cell: its model, its drives, and the C that keeps a sketch of them."""
-
-    def __init__(self, folder):
-        self.drives = {
-            n: replace(read_log(folder / f"drive_p25_{n}.csv.gz"), soc0=1.0)
-            for n in dict.fromkeys((*OWN, *PAST, *LATER))
-        }
-        self.model = make_pictures(stock_model(STOCK), [self.drives[n] for n in OWN])
-        self.kept = cache(self.keep)
-
-    def keep(self, most, names, cause="", size=0.0, unit=5):
-        """The bytes that a target keeps of two weeks, each day from a full cell."""
-        sketcher = Sketcher(Firmware(self.model, dt_s=1.0, sketch=most))
-        sketch = sketcher.begin(unit)
-        for day in range(DAYS):
-            log = self.drives[names[day % len(names)]]
-            log = hidden(log, cause, size, self.model) if cause else log
-            sketcher.run(means_of(log, 1.0), sketch=sketch)
-        return sketcher.bytes_of(sketch)
-
-
 @pytest.fixture(scope="module")
 def bench(real_data):
-    return Bench(real_data / "panasonic_18650pf")
+    return SketchBench(real_data / "panasonic_18650pf")
 
 
 @pytest.mark.parametrize("most", SIZES)
@@ -182,3 +149,97 @@ def test_the_command_names_it_from_files(bench, tmp_path, capsys):
     assert "verdict: ohmic_resistance" in capsys.readouterr().out
     assert main([*asked, "--baseline", str(files[0])]) == 2
     assert "Give one or the other" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def field(bench, tmp_path_factory):
+    """The model and its export as targets have it, and what one kept while its cell was good."""
+    place = tmp_path_factory.mktemp("field")
+    write_model(bench.model, place / "cell.json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cellwise.export.cross.cores_here", list)
+        export = ["export", "--model", str(place / "cell.json"), "--dt", "1", "--health"]
+        assert main([*export, "--sketch", "1024", "-o", str(place / "firmware")]) == 0
+    for unit in (5, 9):
+        block = bench.kept(1024, PAST, unit=unit, health=True)
+        (place / f"good_{unit}.bin").write_bytes(block)
+    return place
+
+
+def patched(field, capsys, *files, more=()):
+    """Exit code, JSON and error of `diagnose --sketch --patch`."""
+    asked = ["diagnose", "--model", field / "cell.json", "--sketch", *files, "--json"]
+    asked += ["--patch", field / "a.patch", "--export", field / "firmware", "--generation", "3"]
+    capsys.readouterr()
+    code = main([*map(str, (*asked, *more))])
+    out, err = capsys.readouterr()
+    return code, json.loads(out) if out else None, err
+
+
+def test_what_a_sketch_names_is_written_as_a_patch(bench, field, tmp_path, capsys):
+    """Its factor is what the hidden ohms are of the drop of a long load, at every SOC."""
+    ohm = TIMES * usual(bench.model)["ohmic_resistance"]
+    later = tmp_path / "later.bin"
+    later.write_bytes(bench.kept(1024, LATER, "ohmic_resistance", ohm, health=True))
+    code, found, err = patched(field, capsys, field / "good_5.bin", later)
+    assert code == 0, err
+    assert found["patch"] == found["cells"][0]["patch"] == str(field / "a.patch")
+    block = (field / "a.patch").read_bytes()
+    assert len(block) == BLOCK.itemsize <= 128
+    took = taken(block, bench.target(1024, True).stepper(1.0).tables)[0]
+    assert took["generation"] == 3
+    assert (took["offset_A"], took["per_gain"], took["per_capacity"]) == (0.0, 1.0, 1.0)
+    assert not np.any(took["shift_V"])
+    (added_ohm,) = found["causes"][0]["parameters"].values()
+    assert added_ohm == pytest.approx(ohm, rel=0.25)
+    parameters = bench.model.parameters()
+    for k, soc in enumerate(np.linspace(0.0, 1.0, RESISTANCE_KNOTS)):
+        p = look_up(parameters, soc, found["sketches"][1]["temperature_C"])
+        drop_ohm = p.r0_ohm + p.r1_ohm + p.r2_ohm + p.r3_ohm
+        assert took["resistance"][:, k] == pytest.approx(1.0 + added_ohm / drop_ohm, rel=0.05)
+
+
+def test_where_a_sketch_names_nothing_or_no_patch_holds_it_none_is_written(
+    bench, field, tmp_path, capsys
+):
+    late_s = TIMES * usual(bench.model)["time_skew"]
+    for name, more, said in (
+        ("same.bin", (), "no cause"),
+        ("late.bin", ("time_skew", late_s), "time_skew"),
+    ):
+        later, place = tmp_path / name, field / "a.patch"
+        place.unlink(missing_ok=True)
+        later.write_bytes(bench.kept(1024, LATER, *more, health=True))
+        code, found, err = patched(field, capsys, field / "good_5.bin", later)
+        assert code == 0, err
+        assert (found["patch"], found["no_patch"]) == (None, said)
+        assert not place.exists()
+
+
+def test_every_target_of_a_fleet_gets_its_own_patch(bench, field, tmp_path, capsys):
+    """One has more ohms, the other is as it was."""
+    ohm = TIMES * usual(bench.model)["ohmic_resistance"]
+    files = [field / "good_5.bin", field / "good_9.bin", tmp_path / "5.bin", tmp_path / "9.bin"]
+    files[2].write_bytes(bench.kept(1024, LATER, health=True))
+    files[3].write_bytes(bench.kept(1024, LATER, "ohmic_resistance", ohm, unit=9, health=True))
+    code, found, err = patched(field, capsys, *files)
+    assert code == 0, err
+    cells = {one["unit"]: one for one in found["cells"]}
+    assert (cells[5]["patch"], cells[5]["no_patch"]) == (None, "no cause")
+    assert cells[9]["patch"] == str(field / "a_9.patch")
+    assert (field / "a_9.patch").is_file()
+    assert not (field / "a_5.patch").exists()
+    assert "patch" not in found
+
+
+def test_a_patch_of_sketches_of_another_export_is_refused(bench, field, tmp_path, capsys):
+    """Their tables are others: such a target would refuse the patch."""
+    files = tmp_path / "good.bin", tmp_path / "later.bin"
+    for file, names in zip(files, (PAST, LATER), strict=True):
+        block = bytearray(bench.kept(1024, names))
+        block[4:8] = b"else"  # in place of the CRC of its tables
+        block[-4:] = zlib.crc32(block[:-4]).to_bytes(4, "little")
+        file.write_bytes(block)
+    code, _, err = patched(field, capsys, *files)
+    assert code == 2
+    assert "of other tables than the export's" in err

@@ -15,6 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from cellwise.cell.stock import stock_model
+from cellwise.diagnose.sketch_pictures import hidden, make_pictures
+from cellwise.estimate.sketch.sketcher import Sketcher, means_of
+from cellwise.export.firmware import Firmware
 from cellwise.identify import CellTests, Identification, IdentifySettings, identify_cell
 from cellwise.logs import CellLog, read_log
 
@@ -22,6 +25,12 @@ LG = "lg_18650hg2"
 LG_RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
 LG_ONE_C = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
 LG_SHORT = ("n10_604", "n20_611", "p00_590", "p10_571")
+# Sketches of the Panasonic at 25 degC: two weeks, a drive a day.
+STOCK, LINEAGE = "nca-18650", "panasonic"
+OWN = ("cycle_2", "cycle_3")
+PAST = ("nn", "hwfta", "cycle_4", "cycle_2")
+LATER = ("us06", "hwftb", "cycle_3")
+DAYS = 14
 
 
 def identify_once(tests: CellTests, settings: IdentifySettings) -> Identification:
@@ -116,3 +125,30 @@ def missed(values, **reasons):
 def rmse(error):
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(error))))
+
+
+class SketchBench:
+    """A measured cell: its model, its drives, and the C that keeps a sketch of them."""
+
+    def __init__(self, folder):
+        self.drives = {
+            n: replace(read_log(folder / f"drive_p25_{n}.csv.gz"), soc0=1.0)
+            for n in dict.fromkeys((*OWN, *PAST, *LATER))
+        }
+        self.model = make_pictures(stock_model(STOCK), [self.drives[n] for n in OWN])
+        self.kept = cache(self.keep)
+        self.target = cache(self.compiled)
+
+    def compiled(self, most, health=False):
+        """The C of a target with so many bytes for a sketch."""
+        return Firmware(self.model, dt_s=1.0, sketch=most, health=health)
+
+    def keep(self, most, names, cause="", size=0.0, unit=5, health=False):
+        """The bytes that a target keeps of two weeks, each day from a full cell."""
+        sketcher = Sketcher(self.target(most, health))
+        sketch = sketcher.begin(unit)
+        for day in range(DAYS):
+            log = self.drives[names[day % len(names)]]
+            log = hidden(log, cause, size, self.model) if cause else log
+            sketcher.run(means_of(log, 1.0), sketch=sketch)
+        return sketcher.bytes_of(sketch)

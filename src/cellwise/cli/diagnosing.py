@@ -16,7 +16,8 @@ cellwise diagnose: model and logs to what is wrong, and by how much
         model's own]
     -o, --output MODEL2  the model with the causes known
     --corrected DIR  folder for logs without the sensors' faults
-    --patch FILE  what a target takes of the causes without new tables, for the --export
+    --patch FILE  what a target takes of the causes without new tables, for the --export; of
+        several targets one each, with its number before the ending
     --export DIR  folder that `cellwise export --health` wrote of the model
     --generation N=1  of the patch: a target takes none that is older
 <page>
@@ -43,18 +44,21 @@ from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
 from cellwise.notices import critical_first
 from cellwise.report.page.markup import MOST
-from cellwise.workflows.sketches import diagnose_sketch_files
+from cellwise.workflows.sketches import diagnose_sketch_files, write_patches
 
 if TYPE_CHECKING:
     from cellwise.benchmark.certify.exported import Exported
 
+# What only goes with logs.
+OF_LOGS = ("logs", "holdout", "baseline", "output", "report", "corrected", "cause")
+
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
+    _check_places(arguments)
     if arguments.sketch or not arguments.logs:
         run_sketches(arguments)
         return
-    _check_places(arguments)
     soc0 = options.soc0_of(arguments)
     model = options.read_model(arguments)
     logs, holdout, baseline = (
@@ -95,9 +99,9 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 
 def run_sketches(arguments: argparse.Namespace) -> None:
-    """Diagnose what a target kept, and print it."""
+    """Diagnose what targets kept, write patches where they are asked for, and print it."""
     said = vars(arguments)
-    others = [n for n in ("logs", "holdout", "baseline", "output", "report", "cause") if said[n]]
+    others = [n for n in OF_LOGS if said[n]]
     if not arguments.sketch:
         typed = f"cellwise diagnose nmc_drive_a --model {arguments.model}"
         raise InputError("no LOG", "what is to be explained, or --sketch", f"Add it: {typed}.")
@@ -110,9 +114,18 @@ def run_sketches(arguments: argparse.Namespace) -> None:
     except InputError as error:
         run = "Identify it by cellwise identify --sketch ... -o MODEL."
         raise InputError(error.found, error.expected, run) from None
+    exported = _exported(arguments)
     files = diagnose_sketch_files(model, arguments.sketch)
+    written: dict[int, dict[str, str | None]] = {}
+    if exported is not None:
+        target = exported.model, exported.stepper.tables
+        written = write_patches(files, arguments.patch, *target, arguments.generation)
     if arguments.json:
-        printing.print_json(files.to_dict())
+        shown = files.to_dict()
+        for cell in shown["cells"]:
+            cell |= written.get(cell["unit"], {})
+        alone = next(iter(written.values())) if len(written) == 1 else {}
+        printing.print_json({**shown, **alone})
         return
     found, units = files.shown, files.found.units
     of = f"what all {len(units)} targets have" if files.found.common else "verdict"
@@ -130,6 +143,12 @@ def run_sketches(arguments: argparse.Namespace) -> None:
     own = [(str(u), one.verdict) for u, one in units.items() if one.verdict != "none"]
     if len(units) > 1:
         printing.table("what one target has", ("target", "verdict"), own)
+    for unit, one in written.items():
+        of_one = f" of target {unit}" if len(written) > 1 else ""
+        if one["patch"] is not None:
+            printing.say(f"patch{of_one}: {one['patch']}")
+        elif units[unit].causes or not of_one:
+            printing.say(f"no patch{of_one}: {one['no_patch']}")
 
 
 def _least(limit: Mapping[str, float] | None) -> str:

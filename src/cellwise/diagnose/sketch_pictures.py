@@ -2,14 +2,15 @@
 
 The block ``sketch`` of a model's provenance: ``version`` of the sums, ``mark`` of the model it was
 made of, and by the number of parameters ``clean`` (of the own logs as they are), ``causes`` (what
-each adds at its usual size) and their mean ``temperature_C``.
+each adds at its usual size), ``sizes`` (the same over the own logs' ``excess``, by which a size is
+read: parameters over the excess that a cause makes itself grow less than it) and their mean
+``temperature_C``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,15 +38,20 @@ RIDGE = 8.0  # of every parameter, in its unit
 PERIOD_S = 1.0  # at which the own logs are stepped
 SLOW_S = 1500.0
 PATH_PER_CAPACITY = 60.0
-BLOCK = "sketch"
+BLOCK, VERSION = "sketch", f"{MAGIC:x}-2"
 
 
 class Pictures(NamedTuple):
-    """Parameters of the own logs as they are, by cause what it adds, their mean temperature."""
+    """Parameters of the own logs as they are, by cause what it adds, their mean temperature.
+
+    ``sizes``: what a cause adds over the ``excess`` of the own logs.
+    """
 
     clean: FloatArray
     causes: Mapping[str, FloatArray]
     temperature_C: float
+    sizes: Mapping[str, FloatArray]
+    excess: float
 
 
 def usual(model: CellModel) -> dict[str, float]:
@@ -62,13 +68,20 @@ def usual(model: CellModel) -> dict[str, float]:
     }
 
 
-def parameters_of(model: CellModel, sketches: Sequence[SketchSums]) -> FloatArray:
-    """Parameters that sketches give together, in units of what is usual in the field."""
+def parameters_of(
+    model: CellModel, sketches: Sequence[SketchSums], excess: float | None = None
+) -> FloatArray:
+    """Parameters that sketches give together, in units of what is usual in the field.
+
+    ``excess`` in place of each sketch's own: parameters are linear in a cause then.
+    """
+    shares = [1.0 if excess is None else s.excess / excess for s in sketches]
     ohm, capacity_Ah = float(np.median(model.r0_ohm)), model.capacity_Ah
     units = np.array([0.03 * capacity_Ah, 0.5, ohm, 0.03, -0.02, 0.02, 0.3, 0.3 * ohm, -0.05])
     units = units[: sketches[0].with_residual.size]
-    products = np.outer(units, units) * np.mean([s.products for s in sketches], axis=0)
-    right = units * np.mean([s.with_residual for s in sketches], axis=0)
+    each = list(zip(shares, sketches, strict=True))
+    products = np.outer(units, units) * np.mean([w * s.products for w, s in each], axis=0)
+    right = units * np.mean([w * s.with_residual for w, s in each], axis=0)
     return np.asarray(np.linalg.solve(products + RIDGE * np.eye(units.size), right))
 
 
@@ -118,26 +131,25 @@ def make_pictures(model: CellModel, logs: Iterable[CellLog]) -> CellModel:
     own = [means_of(log, PERIOD_S) for log in logs]
     if not own:
         raise InputError("no drive to make pictures of", "own logs under load", "Give drives.")
-    block: dict[str, Any] = {"version": MAGIC, "mark": _mark(model)}
+    block: dict[str, Any] = {"version": VERSION, "mark": _mark(model)}
     for most in (SMALL_BYTES, WHOLE_BYTES):
         sketcher = Sketcher(FixedStep(model, dt_s=PERIOD_S, sketch=most))
-        of = partial(_parameters, model, sketcher)
         kept = _kept(sketcher, own)
-        clean = parameters_of(model, kept)
-        causes = {
-            cause: of([hidden(log, cause, size, model) for log in own]) - clean
-            for cause, size in usual(model).items()
-        }
+        clean, excess = parameters_of(model, kept), float(np.mean([s.excess for s in kept]))
+        level = parameters_of(model, kept, excess)
+        causes, sizes = {}, {}
+        for cause, size in usual(model).items():
+            odd = _kept(sketcher, [hidden(log, cause, size, model) for log in own])
+            causes[cause] = _rounded(parameters_of(model, odd) - clean)
+            sizes[cause] = _rounded(parameters_of(model, odd, excess) - level)
         block[str(clean.size)] = {
             "clean": _rounded(clean),
             "temperature_C": round(float(np.mean([s.temperature_C for s in kept])), 2),
-            "causes": {cause: _rounded(look) for cause, look in causes.items()},
+            "causes": causes,
+            "sizes": sizes,
+            "excess": float(f"{excess:.6g}"),
         }
     return replace(model, provenance={**model.provenance, BLOCK: block})
-
-
-def _parameters(model: CellModel, sketcher: Sketcher, logs: Sequence[CellLog]) -> FloatArray:
-    return parameters_of(model, _kept(sketcher, logs))
 
 
 def _kept(sketcher: Sketcher, logs: Sequence[CellLog]) -> list[SketchSums]:
@@ -156,7 +168,7 @@ def pictures_in(model: CellModel) -> dict[int, Pictures]:
     InputError        none, of another version, or of another model
     """
     block = model.provenance.get(BLOCK)
-    fits = isinstance(block, Mapping) and block.get("version") == MAGIC
+    fits = isinstance(block, Mapping) and block.get("version") == VERSION
     if not isinstance(block, Mapping) or not fits or block.get("mark") != _mark(model):
         raise InputError(
             "a model that does not know how causes look in sketches of its own logs",
@@ -168,6 +180,8 @@ def pictures_in(model: CellModel) -> dict[int, Pictures]:
             np.array(one["clean"]),
             {n: np.array(look) for n, look in one["causes"].items()},
             float(one["temperature_C"]),
+            {n: np.array(look) for n, look in one["sizes"].items()},
+            float(one["excess"]),
         )
         for size, one in block.items()
         if size.isdigit()

@@ -36,6 +36,13 @@ APART = (
 )
 
 
+class Off(NamedTuple):
+    """What parameters differ by: as causes are named by, and ``linear`` in a cause for its size."""
+
+    parameters: FloatArray
+    linear: FloatArray
+
+
 class SketchPrior(NamedTuple):
     """What is assumed before a sketch is read; chosen in decision 0015."""
 
@@ -149,12 +156,15 @@ def diagnose_fleet(
     check_alike(every, bool(every))
     size = every[0].with_residual.size
     pictures, clean = known[size], spread(size, without_lineage)
-    at = {unit: parameters_of(model, of[-1:]) for unit, of in units.items()}
+    at, linear = (
+        {unit: parameters_of(model, of[-1:], excess) for unit, of in units.items()}
+        for excess in (None, pictures.excess)
+    )
     common, scatter = None, clean
-    middle = np.median(list(at.values()), axis=0)
+    middle, linear_middle = (np.median(list(p.values()), axis=0) for p in (at, linear))
     warm_C = float(np.median([of[-1].temperature_C for of in units.values()]))
     if len(units) >= PRIOR.fleet:
-        off = middle - pictures.clean
+        off = Off(middle - pictures.clean, linear_middle - pictures.clean)
         common = _near(warm_C, pictures.temperature_C) or _judged(model, off, pictures, clean)
         scatter = 0.5 * (clean + _scatter(np.array(list(at.values())) - middle, clean))
     found = {}
@@ -162,9 +172,9 @@ def diagnose_fleet(
         if len(of) > 1:
             found[unit] = _compared(model, of[0], of[1:], pictures, clean)
         elif common is not None:
-            found[unit] = _near(of[0].temperature_C, warm_C) or _judged(
-                model, at[unit] - middle, pictures, scatter
-            )
+            off = Off(at[unit] - middle, linear[unit] - linear_middle)
+            near = _near(of[0].temperature_C, warm_C)
+            found[unit] = near or _judged(model, off, pictures, scatter)
         else:
             found[unit] = SketchDiagnosis("undetermined", reasons=(NO_PAST,))
     return FleetDiagnosis(common, found)
@@ -246,16 +256,19 @@ def _compared(
 ) -> SketchDiagnosis:
     warm_C = float(np.mean([s.temperature_C for s in later]))
     apart = _near(past.temperature_C, warm_C)
-    off = parameters_of(model, later) - parameters_of(model, [past])
+    off = Off(
+        *(
+            parameters_of(model, later, excess) - parameters_of(model, [past], excess)
+            for excess in (None, pictures.excess)
+        )
+    )
     return apart or _judged(model, off, pictures, clean)
 
 
-def _judged(
-    model: CellModel, off: FloatArray, pictures: Pictures, clean: FloatArray
-) -> SketchDiagnosis:
-    share = odds_of(off, pictures.causes, clean)
+def _judged(model: CellModel, off: Off, pictures: Pictures, clean: FloatArray) -> SketchDiagnosis:
+    share = odds_of(off.parameters, pictures.causes, clean)
     found = sorted(
-        (_cause(model, n, share[n], off, pictures.causes[n], clean) for n in NAMED),
+        (_cause(model, n, share[n], off.linear, pictures.sizes[n], clean) for n in NAMED),
         key=lambda c: -c.probability,
     )
     first = max(share, key=lambda n: share[n])

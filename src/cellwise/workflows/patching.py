@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.diagnose.result import Diagnosis
+from cellwise.diagnose.sketched import SketchDiagnosis
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.estimate.sketch.stored import SketchSums
 from cellwise.export.patch import patch_of
 
 
@@ -34,3 +40,37 @@ def patch_for(
         (float(warm.min()), float(warm.max())),
     )
     return patch.block(tables)
+
+
+def patch_from_sketch(
+    found: SketchDiagnosis,
+    temperature_C: float,
+    model: CellModel,
+    tables: FixedStepTables,
+    generation: int,
+) -> bytes:
+    """A patch of what a target's sketches named, for a target with the ``tables`` of a ``model``.
+
+    Raises
+    ------
+    InputError        nothing was named; a cause that needs new tables
+    """
+    causes = {c.name: c.parameters for c in found.causes}
+    added_ohm = causes.get("ohmic_resistance", {}).get("added_ohm", 0.0)
+    new = replace(model, r0_ohm=model.r0_ohm + added_ohm)
+    return patch_of(causes, model, generation, new, (temperature_C, temperature_C)).block(tables)
+
+
+def check_tables(sketches: Iterable[SketchSums], tables: FixedStepTables) -> None:
+    """Refuse sketches that a target with other tables kept.
+
+    Raises
+    ------
+    InputError        as said
+    """
+    if any(s.model_crc != zlib.crc32(tables.to_bytes()) for s in sketches):
+        raise InputError(
+            "sketches of other tables than the export's",
+            "sketches and the export of one firmware",
+            "Name the folder that these targets were built from.",
+        )

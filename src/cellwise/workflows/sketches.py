@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,15 +16,22 @@ from cellwise.diagnose.sketched import (
     without_details,
 )
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sketch.stored import SketchSums, read_sums
+from cellwise.files import write_atomically
 from cellwise.identify import Identification
+from cellwise.workflows.patching import check_tables, patch_from_sketch
 
 
 class SketchFiles(NamedTuple):
-    """What files show (``found``), and what each of them is of (``sketches``), as JSON values."""
+    """What files show (``found``), and what each of them is of (``sketches``), as JSON values.
+
+    ``last`` are the sums of each target's last file, by its number.
+    """
 
     found: FleetDiagnosis
     sketches: list[dict[str, Any]]
+    last: Mapping[int, SketchSums]
 
     @property
     def shown(self) -> SketchDiagnosis:
@@ -56,7 +63,37 @@ def diagnose_sketch_files(model: CellModel, files: Sequence[str]) -> SketchFiles
         sums = read_sums(Path(file).read_bytes(), file)
         units.setdefault(sums.unit, []).append(sums)
         heads.append({"file": file, **sums.head()})
-    return SketchFiles(diagnose_fleet(model, units), heads)
+    last = {unit: of[-1] for unit, of in units.items()}
+    return SketchFiles(diagnose_fleet(model, units), heads, last)
+
+
+def write_patches(
+    files: SketchFiles, place: str, model: CellModel, tables: FixedStepTables, generation: int
+) -> dict[int, dict[str, str | None]]:
+    """A patch for every target that has a cause, at ``place``; of several with its number there.
+
+    Returns
+    -------
+    dict        by target ``patch``, where it was written; else None and why (``no_patch``)
+
+    Raises
+    ------
+    InputError        sketches of other tables than these
+    """
+    check_tables(files.last.values(), tables)
+    written: dict[int, dict[str, str | None]] = {}
+    for unit, sketch in files.last.items():
+        found, path = files.found.units[unit], Path(place)
+        if len(files.last) > 1:
+            path = path.with_stem(f"{path.stem}_{unit}")
+        try:
+            block = patch_from_sketch(found, sketch.temperature_C, model, tables, generation)
+        except InputError as error:  # said beside what was found
+            written[unit] = {"patch": None, "no_patch": str(error.found)}
+            continue
+        write_atomically(path, block)
+        written[unit] = {"patch": str(path)}
+    return written
 
 
 def with_pictures(found: Identification) -> Identification:

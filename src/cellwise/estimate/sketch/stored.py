@@ -28,8 +28,8 @@ class SketchSums(NamedTuple):
     """Normal equations of one sketch.
 
     ``products`` (n, n) of the derivatives, ``with_residual`` (n,), both a simulation's mean and
-    over the mean square of the residual where that is above one; ``segments`` simulations of
-    ``rows`` rows, faded, at a mean ``temperature_C``; ``unit`` the target's number.
+    over the mean square of the residual where that is above one (``excess``); ``segments``
+    simulations of ``rows`` rows, faded, at a mean ``temperature_C``; ``unit`` the target's number.
     """
 
     products: FloatArray
@@ -39,6 +39,7 @@ class SketchSums(NamedTuple):
     temperature_C: float
     unit: int
     model_crc: int
+    excess: float
 
     def head(self) -> dict[str, Any]:
         """What it is of, as JSON values."""
@@ -82,14 +83,17 @@ def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
     square = np.zeros((kept, kept))
     square[np.tril_indices(kept)] = total
     square = square + np.tril(square, -1).T
-    share = 1.0 / (float(head["segments"]) * max(square[0, 0] / float(head["rows"]), 1.0))
+    excess = max(float(square[0, 0]) / float(head["rows"]), 1.0)
+    share = 1.0 / (float(head["segments"]) * excess)
     return SketchSums(
         share * square[1:, 1:],
         share * square[0, 1:],
         float(head["segments"]),
         float(head["rows"]),
         float(head["degrees"]) / float(head["rows"]),
-        *(int(head[n]) for n in ("unit", "model_crc")),
+        int(head["unit"]),
+        int(head["model_crc"]),
+        excess,
     )
 
 
