@@ -152,7 +152,6 @@ def order_of_rests(even, odd):
     return spearmanr(rest_difference_V(odd, soc), rest_difference_V(even, soc)).statistic
 
 
-@pytest.mark.xfail(strict=True, reason="0.897 (0.90)")
 def test_rest_voltages_keep_their_order_between_weeks(even, odd):
     assert order_of_rests(even, odd) >= 0.9
 

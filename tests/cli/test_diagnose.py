@@ -11,6 +11,7 @@ import pytest
 from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.cell.simulate import simulate
+from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.diagnose.causes.catalogue import CAUSES
@@ -20,6 +21,7 @@ from cellwise.estimate.sketch.sketcher import Sketcher
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
 from cellwise.report.diagnosis.statements import probability
+from cellwise.workflows.sketches import keep_sketch
 from diagnosis_cases import ODD_ROWS, odd_sensor
 from example_cells import curved_cell
 
@@ -255,3 +257,23 @@ def test_identify_keeps_how_causes_look_in_sketches(tmp_path, capsys, run_json):
     assert "earlier sketch" in found["reasons"][0]
     assert main(["diagnose", "--model", "nmc-18650", "--sketch", str(block)]) == 2
     assert "cellwise identify --sketch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
+def test_replay_keeps_what_a_target_would(estimator, tmp_path, capsys, run_json):
+    """A sketch of two logs in one call, and of one after the other: the same bytes."""
+    logs = ["nmc_drive_a", "nmc_drive_b"]
+    asked = ["--model", "nmc-18650", "--capacity-ah", "5", "--estimator", estimator, "--dt", "1"]
+    first, second = tmp_path / "first.bin", tmp_path / "second.bin"
+    run_json("replay", *asked, logs[0], "--soc0", "0.95", "--sketch", first)
+    more = ["--sketch-from", first, "--sketch", second]
+    run_json("replay", *asked, logs[1], "--soc0", "0.95", *more)
+    known = [load_dataset(n) for n in logs]
+    model = named_model("nmc-18650", 5.0)
+    both = keep_sketch(model, "fixed-step", known, soc0=0.95, dt_s=1.0)
+    assert second.read_bytes() == both != first.read_bytes()
+    assert main(["replay", *asked[:4], logs[0], "--sketch", str(first)]) == 2
+    assert "--estimator fixed-step" in capsys.readouterr().err
+    other = ["replay", *asked[:-1], "5", logs[0], "--soc0", "0.95", "--sketch", str(first)]
+    assert main([*other, "--sketch-from", str(second)]) == 2
+    assert "another model, period or size" in capsys.readouterr().err

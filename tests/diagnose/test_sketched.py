@@ -56,7 +56,7 @@ def missed_marks():
             yield pytest.param(most, cause, marks=marks, id=f"{most}-{cause}")
 
 
-@pytest.mark.parametrize(("most", "cause"), missed_marks())
+@pytest.mark.parametrize(("most", "cause"), [*missed_marks()])
 def test_a_hidden_cause_is_named_with_its_size(bench, most, cause):
     """The drives of the past are others, the cell took no part in what clean sketches differ by."""
     size = TIMES * usual(bench.model)[cause]
@@ -186,6 +186,11 @@ def test_what_a_sketch_names_is_written_as_a_patch(bench, field, tmp_path, capsy
     assert found["patch"] == found["cells"][0]["patch"] == str(field / "a.patch")
     block = (field / "a.patch").read_bytes()
     assert len(block) == BLOCK.itemsize <= 128
+    # A sketch says of which tables it is: without the export the same.
+    asked = ["diagnose", "--model", field / "cell.json", "--sketch", field / "good_5.bin", later]
+    asked += ["-o", tmp_path / "b.patch", "--generation", "3"]
+    assert main([*map(str, asked)]) == 0
+    assert (tmp_path / "b.patch").read_bytes() == block
     took = taken(block, bench.target(1024, True).stepper(1.0).tables)[0]
     assert took["generation"] == 3
     assert (took["offset_A"], took["per_gain"], took["per_capacity"]) == (0.0, 1.0, 1.0)

@@ -14,7 +14,7 @@ cellwise diagnose: model and logs to what is wrong, and by how much
     --cause C...  try only this cause; several [all but charge_transfer]
     --reference-capacity-ah X  measured apart from these logs: what SOC is judged over [the
         model's own]
-    -o, --output MODEL2  the model with the causes known
+    -o, --output MODEL2  the model with the causes known; with --sketch the patch
     --corrected DIR  folder for logs without the sensors' faults
     --patch FILE  what a target takes of the causes without new tables, for the --export; of
         several targets one each, with its number before the ending
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from cellwise.benchmark.certify.exported import Exported
 
 # What only goes with logs.
-OF_LOGS = ("logs", "holdout", "baseline", "output", "report", "corrected", "cause")
+OF_LOGS = ("logs", "holdout", "baseline", "report", "corrected", "cause")
 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
@@ -117,9 +117,10 @@ def run_sketches(arguments: argparse.Namespace) -> None:
     exported = _exported(arguments)
     files = diagnose_sketch_files(model, arguments.sketch)
     written: dict[int, dict[str, str | None]] = {}
-    if exported is not None:
-        target = exported.model, exported.stepper.tables
-        written = write_patches(files, arguments.patch, *target, arguments.generation)
+    place = arguments.patch or arguments.output
+    if place:
+        tables = None if exported is None else exported.stepper.tables
+        written = write_patches(files, place, model, arguments.generation, tables)
     if arguments.json:
         shown = files.to_dict()
         for cell in shown["cells"]:
@@ -158,7 +159,10 @@ def _least(limit: Mapping[str, float] | None) -> str:
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuse what could only fail after the work is done."""
     options.check_places(arguments.output, arguments.patch)
-    if (arguments.patch is None) != (arguments.export is None):
+    if arguments.sketch and arguments.patch and arguments.output:
+        what = "--patch and -o: with --sketch both are the patch"
+        raise InputError(what, "one of them", "Leave one out.")
+    if not arguments.sketch and (arguments.patch is None) != (arguments.export is None):
         raise InputError(
             "--patch without --export" if arguments.export is None else "--export without --patch",
             "both: a patch is of the tables of one export",

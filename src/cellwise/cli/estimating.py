@@ -28,6 +28,9 @@ cellwise replay: model and log to SOC
 <ahead>
     --plan P+  what lies ahead: CSV of time_s and power_W or current_A of the pack, or past logs
     --land-above X  with which chance it ends above this SOC [0]
+    --sketch FILE  what a target exported with --sketch would keep after these logs, for diagnose;
+        estimator fixed-step or firmware
+    --sketch-from FILE  an earlier one of the same target, to go on with
     -o, --output OUT  rows as .csv, .csv.gz or .parquet
 <page>
 <log options>
@@ -48,11 +51,13 @@ from cellwise.cli.common import forecast_options, log_options, options, page_opt
 from cellwise.cli.replay_output import data_of, print_runs
 from cellwise.errors import InputError
 from cellwise.estimate.sensor import seen_by
+from cellwise.files import write_atomically
 from cellwise.logs import CellLog
 from cellwise.logs.stated import logs_of
 from cellwise.logs.writing import write_columns
 from cellwise.workflows.replaying import ReplayRequest, check_replay, replay_each, write_replays
 from cellwise.workflows.simulating import simulate_from_start
+from cellwise.workflows.sketches import check_keeper, keep_sketch, read_block
 
 
 def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellLog, ...]:
@@ -98,10 +103,11 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
-    options.check_places(arguments.output)
+    options.check_places(arguments.output, arguments.sketch)
     page_options.check_page_options(arguments)
     options.check_fraction("--reference-soc0", arguments.reference_soc0)
     model = options.read_model(arguments)
+    before = sketch_before(arguments)
     ahead = forecast_options.ahead_of(arguments, forecast_options.plans_of(arguments))
     asked = asked_of(model, arguments)
     check_replay(model, asked, ahead)
@@ -110,6 +116,9 @@ def run_replay(arguments: argparse.Namespace) -> None:
         runs = log_options.serving(replay_each(model, whole, asked, ahead, follow))
     if arguments.output:
         write_replays(runs, arguments.output, log_options.read_options(arguments))
+    if arguments.sketch:
+        asked_for = arguments.estimator, whole, options.soc0_of(arguments), arguments.dt, before
+        write_atomically(arguments.sketch, keep_sketch(model, *asked_for))
     with page_options.page_places(arguments) as pages:
         if pages is not None:
             from cellwise.report.replay.page import replay_page
@@ -125,6 +134,22 @@ def run_replay(arguments: argparse.Namespace) -> None:
     else:
         print_runs(runs, sure=arguments.soc0_std is not None)
         page_options.say_pages(arguments)
+
+
+def sketch_before(arguments: argparse.Namespace) -> bytes | None:
+    """The sketch that is gone on with; None: none.
+
+    Raises
+    ------
+    InputError        without a place for what comes of it; no such file; another estimator
+    """
+    if arguments.sketch is not None:
+        check_keeper(arguments.estimator)
+    if arguments.sketch_from is None:
+        return None
+    if arguments.sketch is None:
+        raise InputError("--sketch-from without --sketch", "both", "Add --sketch FILE.")
+    return read_block(arguments.sketch_from)
 
 
 def asked_of(model: CellModel, arguments: argparse.Namespace) -> ReplayRequest:

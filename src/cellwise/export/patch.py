@@ -102,11 +102,20 @@ class Patch:
         InputError        an offset beyond half of 1C
         """
         most_A = float(np.sqrt(tables.constants["lost_A2"][0]))
+        return self.block_of(zlib.crc32(tables.to_bytes()), most_A)
+
+    def block_of(self, model_crc: int, most_A: float) -> bytes:
+        """The bytes for a target whose tables have that CRC-32, with an offset of at most so much.
+
+        Raises
+        ------
+        InputError        an offset beyond it
+        """
         if not abs(self.offset_A) <= most_A:
             raise _refused(f"offset_A = {self.offset_A}", f"at most {most_A:g} A")
         block = np.zeros((), dtype=BLOCK)
         block["magic"], block["layout"] = MAGIC, LAYOUT
-        block["model_crc"] = zlib.crc32(tables.to_bytes())
+        block["model_crc"] = model_crc
         for name in ("generation", "offset_A", "resistance", "shift_V"):
             block[name] = getattr(self, name)
         block["per_capacity"] = 1.0 / self.capacity_share
@@ -242,9 +251,7 @@ def taken(block: bytes, tables: FixedStepTables) -> NDArray[Any]:
     """
     head = np.frombuffer(block[:8].ljust(8, b"\0"), dtype="<u4")
     if head[0] != MAGIC:
-        raise _refused(
-            f"{len(block)} bytes that are no patch", "what a diagnosis writes"
-        )
+        raise _refused(f"{len(block)} bytes that are no patch", "what a diagnosis writes")
     if head[1] != LAYOUT:
         raise _refused(f"a patch of version {head[1]}", f"version {LAYOUT}")
     if len(block) != BLOCK.itemsize or zlib.crc32(block[:-4]) != int.from_bytes(

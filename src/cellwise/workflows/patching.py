@@ -13,6 +13,7 @@ from cellwise.cell.simulate import known_temperature_C
 from cellwise.diagnose.result import Diagnosis
 from cellwise.diagnose.sketched import SketchDiagnosis
 from cellwise.errors import InputError
+from cellwise.estimate.equations.constants import LOST_RATE
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sketch.stored import SketchSums
 from cellwise.export.patch import patch_of
@@ -43,13 +44,11 @@ def patch_for(
 
 
 def patch_from_sketch(
-    found: SketchDiagnosis,
-    temperature_C: float,
-    model: CellModel,
-    tables: FixedStepTables,
-    generation: int,
+    found: SketchDiagnosis, kept: SketchSums, model: CellModel, generation: int
 ) -> bytes:
-    """A patch of what a target's sketches named, for a target with the ``tables`` of a ``model``.
+    """A patch of what a target's sketches named, for the tables of a ``model`` that it has.
+
+    ``kept`` are the sums of its last sketch, which says of which tables and temperature it is.
 
     Raises
     ------
@@ -58,7 +57,9 @@ def patch_from_sketch(
     causes = {c.name: c.parameters for c in found.causes}
     added_ohm = causes.get("ohmic_resistance", {}).get("added_ohm", 0.0)
     new = replace(model, r0_ohm=model.r0_ohm + added_ohm)
-    return patch_of(causes, model, generation, new, (temperature_C, temperature_C)).block(tables)
+    warm = (kept.temperature_C, kept.temperature_C)
+    patch = patch_of(causes, model, generation, new, warm)
+    return patch.block_of(kept.model_crc, LOST_RATE * model.capacity_Ah)
 
 
 def check_tables(sketches: Iterable[SketchSums], tables: FixedStepTables) -> None:

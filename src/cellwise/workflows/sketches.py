@@ -16,11 +16,18 @@ from cellwise.diagnose.sketched import (
     without_details,
 )
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.estimate.sketch.stored import SketchSums, read_sums
+from cellwise.estimate.sketch.sketcher import Sketcher, means_of
+from cellwise.estimate.sketch.stored import SketchSums, read_sums, sketch_bytes
 from cellwise.files import write_atomically
 from cellwise.identify import Identification
+from cellwise.logs.cell_log import CellLog
+from cellwise.wording import arg
 from cellwise.workflows.patching import check_tables, patch_from_sketch
+
+KEEPERS = ("fixed-step", "firmware")
+MOST_BYTES = 1024  # the larger of the two sketches
 
 
 class SketchFiles(NamedTuple):
@@ -48,6 +55,20 @@ class SketchFiles(NamedTuple):
         return {**self.shown.to_dict(), "cells": cells, "sketches": self.sketches}
 
 
+def read_block(file: str) -> bytes:
+    """The bytes of a sketch in a file.
+
+    Raises
+    ------
+    InputError        no such file, no sketch
+    """
+    if not Path(file).is_file():
+        raise InputError(f"no file '{file}'", "bytes of a sketch", "Correct the path.")
+    block = Path(file).read_bytes()
+    read_sums(block, file)
+    return block
+
+
 def diagnose_sketch_files(model: CellModel, files: Sequence[str]) -> SketchFiles:
     """Diagnose sketches of targets; those of one target in order of time.
 
@@ -58,9 +79,7 @@ def diagnose_sketch_files(model: CellModel, files: Sequence[str]) -> SketchFiles
     units: dict[int, list[SketchSums]] = {}
     heads = []
     for file in files:
-        if not Path(file).is_file():
-            raise InputError(f"no file '{file}'", "bytes of a sketch", "Correct the path.")
-        sums = read_sums(Path(file).read_bytes(), file)
+        sums = read_sums(read_block(file), file)
         units.setdefault(sums.unit, []).append(sums)
         heads.append({"file": file, **sums.head()})
     last = {unit: of[-1] for unit, of in units.items()}
@@ -68,9 +87,15 @@ def diagnose_sketch_files(model: CellModel, files: Sequence[str]) -> SketchFiles
 
 
 def write_patches(
-    files: SketchFiles, place: str, model: CellModel, tables: FixedStepTables, generation: int
+    files: SketchFiles,
+    place: str,
+    model: CellModel,
+    generation: int = 1,
+    tables: FixedStepTables | None = None,
 ) -> dict[int, dict[str, str | None]]:
     """A patch for every target that has a cause, at ``place``; of several with its number there.
+
+    A sketch says of which tables it is; with ``tables`` it has to be of these.
 
     Returns
     -------
@@ -80,20 +105,78 @@ def write_patches(
     ------
     InputError        sketches of other tables than these
     """
-    check_tables(files.last.values(), tables)
+    if tables is not None:
+        check_tables(files.last.values(), tables)
     written: dict[int, dict[str, str | None]] = {}
     for unit, sketch in files.last.items():
         found, path = files.found.units[unit], Path(place)
         if len(files.last) > 1:
             path = path.with_stem(f"{path.stem}_{unit}")
         try:
-            block = patch_from_sketch(found, sketch.temperature_C, model, tables, generation)
+            block = patch_from_sketch(found, sketch, model, generation)
         except InputError as error:  # said beside what was found
             written[unit] = {"patch": None, "no_patch": str(error.found)}
             continue
         write_atomically(path, block)
         written[unit] = {"patch": str(path)}
     return written
+
+
+def keep_sketch(
+    model: CellModel,
+    estimator: str,
+    logs: Sequence[CellLog],
+    soc0: float | None = None,
+    dt_s: float | None = None,
+    before: bytes | None = None,
+) -> bytes:
+    """What a target with a sketch would keep after these logs, each begun after a rest.
+
+    Parameters
+    ----------
+    estimator : str             fixed-step, or firmware for the compiled C: the same bytes
+    logs : sequence of CellLog  of one target, one after the other, with a temperature
+    soc0 : float or None        where each log begins; None: as it is stated of the log
+    dt_s : float or None        the target's period, over which samples are means; None: the first
+                                log's median interval
+    before : bytes or None      an earlier sketch of the same target, which goes on
+
+    Raises
+    ------
+    InputError        another estimator; no SOC at a start; a sketch of other tables, or none
+    """
+    check_keeper(estimator)
+    period_s = median_interval_s(logs[0]) if dt_s is None else dt_s
+    most = MOST_BYTES if before is None else sketch_bytes(before)
+    sketcher = Sketcher(make_kept(estimator, model, period_s, most))
+    sketch = sketcher.begin() if before is None else sketcher.resumed(before)
+    for log in logs:
+        sketcher.run(means_of(log, period_s), soc0, sketch)
+    return sketcher.bytes_of(sketch)
+
+
+def check_keeper(estimator: str) -> None:
+    """Refuse an estimator that keeps no sketch.
+
+    Raises
+    ------
+    InputError        as said
+    """
+    if estimator not in KEEPERS:
+        raise InputError(
+            f"a sketch of estimator '{estimator}'",
+            " or ".join(KEEPERS),
+            "Give " + arg("estimator", KEEPERS[0]) + ".",
+        )
+
+
+def make_kept(estimator: str, model: CellModel, period_s: float, most: int) -> FixedStep:
+    """The filter beside which a sketch of at most so many bytes is kept."""
+    if estimator == "fixed-step":
+        return FixedStep(model, dt_s=period_s, sketch=most)
+    from cellwise.export.firmware import Firmware  # needs a C compiler
+
+    return Firmware(model, dt_s=period_s, sketch=most)
 
 
 def with_pictures(found: Identification) -> Identification:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from cellwise.estimate.filters.kalman import known_start
 from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
 from cellwise.estimate.fixed.layout import sketch_type
 from cellwise.estimate.fixed.stepper import Stepper, start_state
-from cellwise.estimate.sketch.stored import empty_sketch, sealed
+from cellwise.estimate.sketch.stored import empty_sketch, read_sums, sealed
 from cellwise.logs.cell_log import CellLog
 
 KNOWN = 0.01  # deviation of a SOC that is stated
@@ -45,6 +46,24 @@ class Sketcher:
     def begin(self, unit: int = 0, dt_s: float = 1.0) -> NDArray[Any]:
         """A sketch of the target with that number, in which nothing is summed."""
         return empty_sketch(self._of(self.filter.dt_s or dt_s), unit)
+
+    def resumed(self, block: bytes) -> NDArray[Any]:
+        """The sketch that `bytes_of` gave, to go on with.
+
+        Raises
+        ------
+        InputError        damaged bytes; of other tables than this filter's
+        """
+        stepper = self._of(self.filter.dt_s or 1.0)
+        kind = sketch_type(stepper.tables.options)
+        of_these = read_sums(block).model_crc == zlib.crc32(stepper.tables.to_bytes())
+        if not of_these or len(block) != kind.itemsize:
+            raise InputError(
+                "a sketch of another model, period or size",
+                "one of the same target",
+                "Go on with its own, or begin a new one.",
+            )
+        return np.frombuffer(block, kind).copy()
 
     def run(
         self, log: CellLog, soc0: float | None = None, sketch: NDArray[Any] | None = None

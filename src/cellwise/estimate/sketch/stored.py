@@ -61,6 +61,17 @@ def sealed(sketch: NDArray[Any], tables: FixedStepTables) -> bytes:
     return sketch.tobytes()
 
 
+def sketch_bytes(block: bytes) -> int:
+    """What the sketch in these bytes was asked for: at most so many bytes.
+
+    Raises
+    ------
+    InputError        as `read_sums`
+    """
+    read_sums(block)
+    return len(block)
+
+
 def read_sums(block: bytes, name: str = "sketch") -> SketchSums:
     """The sums in the bytes of a sketch.
 
