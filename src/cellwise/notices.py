@@ -168,6 +168,7 @@ class Code(Enum):
     CELL_DRIFTS = "cell-drifts", WARNING, "a cell lost charge against the others"
     HALF_CYCLES = "half-cycles", NOTE, "a log of several half cycles, each followed by itself"
     CAPACITY_AT_LOAD = "capacity-at-load", NOTE, "a counted capacity is that at its load"
+    NOT_NEW = "not-new", WARNING, "a life begins at another capacity than its model's"
     TEMPERATURES_DIFFER = "temperatures-differ", NOTE, "logs at clearly different temperatures"
 
     def __init__(self, word: str, severity: Severity, meaning: str) -> None:

@@ -242,6 +242,14 @@ class AgeingHistory(Plottable, Tabular):
         largest = max(self.logs, key=lambda one: float(np.nanmax(np.abs(one.log.current_A))))
         soc = largest.soc_start - largest.log.counted_charge_Ah() / self.model.capacity_Ah
         found += outside_notices(self.model.validity, largest.log, np.clip(soc, 0.0, 1.0))
+        begins = self.logs[0]
+        if not self.withheld and abs(begins.share - 1.0) > 2.0 * begins.share_std:
+            text = (
+                f" shows {begins.capacity_Ah:.3g} Ah of the model's "
+                f"{self.model.capacity_Ah:.3g} Ah (+- {200 * begins.share_std:.2g} % of these): "
+                "shares are of a cell that was aged before, or the capacity is another cell's"
+            )
+            found.append(Notice(Code.NOT_NEW, text, log=begins.log.name))
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
             text = (

@@ -124,6 +124,14 @@ def test_one_log_shows_no_change(capsys):
     assert "throughput_Ah" not in shown
 
 
+@pytest.mark.parametrize(("capacity_Ah", "said_so"), [("5", False), ("10", True)])
+def test_a_life_that_begins_at_another_capacity_is_said(capacity_Ah, said_so, capsys):
+    """Half of a capacity that was typed twice too large is no ageing."""
+    drives = ["nmc_drive_a", "nmc_drive_b"]
+    shown = said(capsys, "history", "--model", "nmc-18650", "--capacity-ah", capacity_Ah, *drives)
+    assert ("the capacity is another cell's" in shown) == said_so
+
+
 def test_a_history_says_that_its_currents_are_no_such_cells(run_json):
     """Days of a car's cell of 30 Ah by a model of 2.8: "use now: 2.8 +- 1.1 Ah", and no word."""
     drive = ("nmc_drive_b", "--anyway")
