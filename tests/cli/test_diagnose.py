@@ -259,6 +259,7 @@ def test_identify_keeps_how_causes_look_in_sketches(tmp_path, capsys, run_json):
     assert "cellwise identify --sketch" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
 def test_replay_keeps_what_a_target_would(estimator, tmp_path, capsys, run_json):
     """A sketch of two logs in one call, and of one after the other: the same bytes."""

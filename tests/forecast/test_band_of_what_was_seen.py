@@ -26,6 +26,7 @@ def drawn_error_V(soc, rng):
     return ERROR_V * error
 
 
+@pytest.mark.slow
 def test_the_band_holds_as_often_whatever_error_is_seen_now():
     """Of cells whose errors are drawn as stated: of those off by little now, and by much."""
     model = curved_cell(
