@@ -101,7 +101,10 @@ static void ask_for_look(const cellwise_model *m, cellwise_bank *b)
         b->since = b->since + b->steps;
         b->mean_A = b->mean_A + ((b->block_A - b->mean_A) * (b->steps / b->since));
         if (b->since >= b->next_look) {
-            b->look = (b->looks == 0u) ? FIRST_LOOK : NEXT_LOOK;
+            b->look = NEXT_LOOK;
+            if (b->looks == 0u) {
+                b->look = FIRST_LOOK;
+            }
         }
     } else { /* as before */
     }

@@ -84,13 +84,13 @@ class Loop(SketchBench):
         return none_if_refused(patch_for, found, self.model, self.tables(1024), 1)
 
     def found_in_sketches(self, most, cause, size):
-        """Diagnosis of the bytes alone, the cell's own spread left out; its temperature."""
+        """Diagnosis of the bytes alone, the cell's own spread left out; the last sums."""
         past = read_sums(self.kept(most, PAST, health=True))
         later = read_sums(self.kept(most, LATER, cause, size, health=True))
-        return diagnose_sketch(self.model, past, [later], LINEAGE), later.temperature_C
+        return diagnose_sketch(self.model, past, [later], LINEAGE), later
 
     def patch_of_sketches(self, most, cause, size):
-        asked = *self.found_in_sketches(most, cause, size), self.model, self.tables(most), 1
+        asked = *self.found_in_sketches(most, cause, size), self.model, 1
         return none_if_refused(patch_from_sketch, *asked)
 
     def errors_of(self, most, cause, times):

@@ -361,7 +361,9 @@ def ask_for_look(m: Model, b: Bank) -> None:
         b.since = b.since + b.steps
         b.mean_A = b.mean_A + ((b.block_A - b.mean_A) * (b.steps / b.since))
         if b.since >= b.next_look:
-            b.look = FIRST_LOOK if b.looks == U(0) else NEXT_LOOK
+            b.look = NEXT_LOOK
+            if b.looks == U(0):
+                b.look = FIRST_LOOK
 
 
 @part
