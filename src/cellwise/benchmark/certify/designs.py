@@ -41,10 +41,10 @@ UNKNOWN_CAPACITY = 0.03  # of a data sheet's: between its minimum and its typica
 # Steps: what is asked for, its code in bytes and its mean instructions on a Cortex-M4F, of three
 # states, as counted for benchmarks/results/firmware.json.
 STEPS: dict[str, tuple[dict[str, Any], int, int]] = {
-    "lean": ({"wide": False}, 2160, 401),
-    "wide": ({"components": 1}, 10354, 799),
-    "offset": ({"components": 1, "offset": True}, 11296, 1034),
-    "bank": ({}, 10354, 1984),
+    "lean": ({"wide": False}, 2156, 401),
+    "wide": ({"components": 1}, 10568, 781),
+    "offset": ({"components": 1, "offset": True}, 11510, 1013),
+    "bank": ({}, 10568, 1924),
 }
 POINTS = (11, 21, 51)  # of the tables over SOC
 # Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten
