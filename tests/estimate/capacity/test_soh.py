@@ -151,7 +151,7 @@ def test_samples_that_are_lost_all_the_time_are_not_counted_on(lost):
     stepper, record = estimator.filter.stepper(DT_S), estimator.begin()
     state = stepper.state()
     stepper.begin(state, 0.9, 0.02)
-    stepper.soh_rows(state, record, rows)
+    stepper.rows_beside("soh_rows", state, record, rows)
     found = EstimatedSoh.of(record)
     assert abs(found.share - 0.8) < 3.0 * found.share_std
 
@@ -274,7 +274,10 @@ def test_the_c_has_the_same_bits(name):
         twin.call("start_soh", record)
         said = []
         for samples in (used, stress_samples(4000), used):
-            said += [twin.soh_rows(state, record, samples).tobytes(), record.tobytes()]
+            said += [
+                twin.rows_beside("soh_rows", state, record, samples).tobytes(),
+                record.tobytes(),
+            ]
             said.append(twin.answer("soh_of", layout.SOH_OUTPUT, record).tobytes())
         found.append((said, EstimatedSoh.of(record)))
     assert found[0] == found[1]

@@ -30,7 +30,7 @@ def sketched(stepper, samples, sketch=None):
     state = stepper.state()
     stepper.begin(state, 1.0, FULL)
     sketch = empty_sketch(stepper, 7) if sketch is None else sketch
-    stepper.sketch_rows(state, sketch, samples)
+    stepper.rows_beside("sketch_rows", state, sketch, samples)
     return state, sketch
 
 

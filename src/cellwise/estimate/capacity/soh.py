@@ -7,12 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.arguments import shown
-from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import known_start
-from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
+from cellwise.estimate.fixed.fixed_step import (
+    BesideStep,
+    median_interval_s,
+    one_record,
+    samples_of,
+)
 from cellwise.estimate.fixed.layout import SOH
-from cellwise.estimate.fixed.stepper import Stepper, start_state
+from cellwise.estimate.fixed.stepper import start_state
 from cellwise.logs.cell_log import CellLog
 
 
@@ -43,7 +46,7 @@ class EstimatedSoh(NamedTuple):
         )  # fmt: skip
 
 
-class SohEstimator:
+class SohEstimator(BesideStep):
     """The estimate beside a fixed step, over logs as a target sees them.
 
     Parameters
@@ -55,20 +58,12 @@ class SohEstimator:
     InputError        a filter without it
     """
 
-    def __init__(self, filter_: FixedStep) -> None:
-        if not isinstance(filter_, FixedStep):
-            raise InputError(
-                f"{shown(filter_)} as a filter",
-                "a FixedStep or Firmware with soh",
-                "Make it with FixedStep(model, soh=True).",
-            )
-        self.filter = filter_
-        self._of(1.0 if filter_.dt_s is None else filter_.dt_s)
+    part = "soh"
 
     def begin(self) -> NDArray[Any]:
         """A record that knows nothing yet."""
         record = np.zeros(1, dtype=SOH)
-        self._of(1.0 if self.filter.dt_s is None else self.filter.dt_s).call("start_soh", record)
+        self.stepper().call("start_soh", record)
         return record
 
     def run(
@@ -82,16 +77,8 @@ class SohEstimator:
         """
         soc0 = known_start(log, soc0)
         dt_s = median_interval_s(log) if self.filter.dt_s is None else self.filter.dt_s
-        stepper = self._of(dt_s)
-        if record is None:
-            record = self.begin()
-        elif not (isinstance(record, np.ndarray) and record.dtype == SOH and record.shape == (1,)):
-            raise InputError(
-                f"record = {shown(record)}", "one record, as begin() gives it", "Pass on its own."
-            )
+        stepper = self.stepper(dt_s)
+        record = self.begin() if record is None else one_record(record, SOH)
         samples = samples_of(self.filter.model, log, dt_s).records
-        stepper.soh_rows(start_state(stepper, soc0, 0.15), record, samples)
+        stepper.rows_beside("soh_rows", start_state(stepper, soc0, 0.15), record, samples)
         return EstimatedSoh.of(record)
-
-    def _of(self, dt_s: float) -> Stepper:
-        return self.filter.stepper(dt_s).need("soh")

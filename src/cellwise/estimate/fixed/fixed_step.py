@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellwise.arguments import shown
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.simulate import known_temperature_C
@@ -17,6 +18,7 @@ from cellwise.estimate.filters.kalman import check_components, known_start, one_
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTLOOK, PHASE, PLAN_RESULT
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
+    MADE_WITH,
     Stepper,
     check_record,
     info_of,
@@ -301,3 +303,48 @@ def _records(model: CellModel, log: CellLog) -> NDArray[Any]:
     records["voltage_V"] = log.voltage_V
     records["temperature_C"] = known_temperature_C(model, log)
     return records
+
+
+class BesideStep:
+    """What is kept beside a fixed step, over logs as a target sees them.
+
+    Parameters
+    ----------
+    filter_ : FixedStep      made with what ``part`` names; `Firmware` for the C
+
+    Raises
+    ------
+    InputError        a filter without it
+    """
+
+    part: ClassVar[str]  # of MADE_WITH
+
+    def __init__(self, filter_: FixedStep) -> None:
+        if not isinstance(filter_, FixedStep):
+            what, made = MADE_WITH[self.part]
+            raise InputError(
+                f"{shown(filter_)} as a filter",
+                f"a FixedStep or Firmware with {what}",
+                f"Make it with {made.replace('...', 'model')}.",
+            )
+        self.filter = filter_
+        self.stepper()
+
+    def stepper(self, dt_s: float = 1.0) -> Stepper:
+        """What runs the step: at the filter's own time step, or at ``dt_s`` where it has none."""
+        own_s = self.filter.dt_s
+        return self.filter.stepper(dt_s if own_s is None else own_s).need(self.part)
+
+
+def one_record(record: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+    """A record to go on with, checked.
+
+    Raises
+    ------
+    InputError        another type or number
+    """
+    if isinstance(record, np.ndarray) and record.dtype == kind and record.shape == (1,):
+        return record
+    raise InputError(
+        f"{shown(record)} to go on with", "one record, as begin() gives it", "Pass on its own."
+    )

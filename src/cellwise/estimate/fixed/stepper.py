@@ -344,24 +344,17 @@ class Stepper:
             return self.rows(memory.states, samples)
         return self.bank_rows(memory.bank, memory.states, samples)
 
-    def soh_rows(
-        self, state: NDArray[Any], record: NDArray[Any], samples: NDArray[Any]
+    def rows_beside(
+        self, name: str, state: NDArray[Any], record: NDArray[Any], samples: NDArray[Any]
     ) -> NDArray[Any]:
-        """Step every sample, and the capacity: records of OUTPUT, shape (samples,)."""
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        if samples.size:
-            samples = np.ascontiguousarray(samples, dtype=INPUT)
-            self.call("soh_rows", state, record, samples, outputs, samples.size)
-        return outputs
+        """Step every sample, and what is kept beside it: records of OUTPUT, shape (samples,).
 
-    def sketch_rows(
-        self, state: NDArray[Any], sketch: NDArray[Any], samples: NDArray[Any]
-    ) -> NDArray[Any]:
-        """Step every sample and sketch it: records of OUTPUT, shape (samples,)."""
+        ``name`` is soh_rows or sketch_rows, ``record`` what that one keeps.
+        """
         outputs = np.zeros(samples.size, dtype=OUTPUT)
         if samples.size:
             samples = np.ascontiguousarray(samples, dtype=INPUT)
-            self.call("sketch_rows", state, sketch, samples, outputs, samples.size)
+            self.call(name, state, record, samples, outputs, samples.size)
         return outputs
 
     def pack_rows(

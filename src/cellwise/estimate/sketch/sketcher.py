@@ -9,19 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import known_start
-from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
+from cellwise.estimate.fixed.fixed_step import (
+    BesideStep,
+    median_interval_s,
+    one_record,
+    samples_of,
+)
 from cellwise.estimate.fixed.layout import sketch_type
-from cellwise.estimate.fixed.stepper import Stepper, start_state
+from cellwise.estimate.fixed.stepper import start_state
 from cellwise.estimate.sketch.stored import empty_sketch, read_sums, sealed
 from cellwise.logs.cell_log import CellLog
 
 KNOWN = 0.01  # deviation of a SOC that is stated
 
 
-class Sketcher:
+class Sketcher(BesideStep):
     """A sketch beside a fixed step, over logs as a target sees them.
 
     Parameters
@@ -33,19 +37,11 @@ class Sketcher:
     InputError        a filter without it
     """
 
-    def __init__(self, filter_: FixedStep) -> None:
-        if not isinstance(filter_, FixedStep):
-            raise InputError(
-                f"{shown(filter_)} as a filter",
-                "a FixedStep or Firmware with a sketch",
-                "Make it with FixedStep(model, sketch=1024).",
-            )
-        self.filter = filter_
-        self._of(1.0 if filter_.dt_s is None else filter_.dt_s)
+    part = "sketch"
 
     def begin(self, unit: int = 0, dt_s: float = 1.0) -> NDArray[Any]:
         """A sketch of the target with that number, in which nothing is summed."""
-        return empty_sketch(self._of(self.filter.dt_s or dt_s), unit)
+        return empty_sketch(self.stepper(dt_s), unit)
 
     def resumed(self, block: bytes) -> NDArray[Any]:
         """The sketch that `bytes_of` gave, to go on with.
@@ -54,7 +50,7 @@ class Sketcher:
         ------
         InputError        damaged bytes; of other tables than this filter's
         """
-        stepper = self._of(self.filter.dt_s or 1.0)
+        stepper = self.stepper()
         kind = sketch_type(stepper.tables.options)
         of_these = read_sums(block).model_crc == zlib.crc32(stepper.tables.to_bytes())
         if not of_these or len(block) != kind.itemsize:
@@ -78,25 +74,17 @@ class Sketcher:
         """
         soc0 = known_start(log, soc0)
         dt_s = median_interval_s(log) if self.filter.dt_s is None else self.filter.dt_s
-        stepper = self._of(dt_s)
+        stepper = self.stepper(dt_s)
         kind = sketch_type(stepper.tables.options)
-        if sketch is None:
-            sketch = empty_sketch(stepper)
-        elif not (isinstance(sketch, np.ndarray) and sketch.dtype == kind and sketch.shape == (1,)):
-            raise InputError(
-                f"sketch = {shown(sketch)}", "one record, as begin() gives it", "Pass on its own."
-            )
+        sketch = empty_sketch(stepper) if sketch is None else one_record(sketch, kind)
         samples = samples_of(self.filter.model, log, dt_s).records
         samples["sequence"] += sketch["sequence"][0] + np.uint32(2)  # a gap: it was switched off
-        stepper.sketch_rows(start_state(stepper, soc0, KNOWN), sketch, samples)
+        stepper.rows_beside("sketch_rows", start_state(stepper, soc0, KNOWN), sketch, samples)
         return sketch
 
     def bytes_of(self, sketch: NDArray[Any], dt_s: float = 1.0) -> bytes:
         """What a target gives when it is read out."""
-        return sealed(sketch, self._of(self.filter.dt_s or dt_s).tables)
-
-    def _of(self, dt_s: float) -> Stepper:
-        return self.filter.stepper(dt_s).need("sketch")
+        return sealed(sketch, self.stepper(dt_s).tables)
 
 
 def means_of(log: CellLog, dt_s: float) -> CellLog:
