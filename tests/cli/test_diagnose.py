@@ -275,6 +275,8 @@ def test_replay_keeps_what_a_target_would(estimator, tmp_path, capsys, run_json)
     assert second.read_bytes() == both != first.read_bytes()
     assert main(["replay", *asked[:4], logs[0], "--sketch", str(first)]) == 2
     assert "--estimator fixed-step" in capsys.readouterr().err
+    assert main(["replay", *asked, logs[0], "--sketch", str(first)]) == 2
+    assert "Give --soc0 SOC" in capsys.readouterr().err
     other = ["replay", *asked[:-1], "5", logs[0], "--soc0", "0.95", "--sketch", str(first)]
     assert main([*other, "--sketch-from", str(second)]) == 2
     assert "another model, period or size" in capsys.readouterr().err

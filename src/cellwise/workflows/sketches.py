@@ -146,6 +146,12 @@ def keep_sketch(
     InputError        another estimator; no SOC at a start; a sketch of other tables, or none
     """
     check_keeper(estimator)
+    if soc0 is None and any(log.soc0 is None for log in logs):
+        raise InputError(
+            "a sketch of a log whose initial SOC nobody stated",
+            "where it begins: a sketch simulates from a SOC that is known",
+            "Give " + arg("soc0", letter="SOC") + ".",
+        )
     period_s = median_interval_s(logs[0]) if dt_s is None else dt_s
     most = MOST_BYTES if before is None else sketch_bytes(before)
     sketcher = Sketcher(make_kept(estimator, model, period_s, most))
